@@ -1,5 +1,5 @@
-"""Where every fit begins: a first trajectory by the online filter, and the fit with no effect but
-those that every model has."""
+"""The start of every fit: a first trajectory from the online filter, and the baseline fit, which
+has only the effects of every model."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from handcal.estimate.pieces import is_long
 from handcal.estimate.start import with_wide_gyro_bias
 from handcal.types import HandcalError
 
-# Standard deviations of a prior by which a parameter moves at once where longer steps lead astray,
-# and beyond which a common effect is no common size.
+# In standard deviations of a prior: longest step of a parameter in a cautious fit, and largest
+# usual size of a common effect.
 CAUTIOUS, FAR = 3.0, 10.0
 
 
@@ -36,18 +36,19 @@ def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
 
 
 def common(cases: Sequence[Case]) -> tuple[Effect, ...]:
-    """The errors of every device that one of these recordings could show."""
+    """The common effects, those of every device, that one of these recordings could show."""
     known = catalogue().values()
     return tuple(e for e in known if e.common and any(applicable(c, e) for c in cases))
 
 
 def dense(base: Model, without: Set[str] = frozenset()) -> Model:
-    """The baseline's fit with all common effects, or with as many of them as it can be fitted with.
+    """The baseline with all common effects, or with as many of them as a fit converges with.
 
-    Begun from the baseline as it is and from its trajectory with the usual noise, since a baseline
-    that lacks strong errors holds them as noise. Where no such fit rests at sizes that devices
-    have, what the observations err by (an arm, delays, irons) is fitted before what the sensors do,
-    in shorter steps. without: ids of those of which no device has as much as a fit came to.
+    It starts from the baseline with its noise, and with the usual noise, since a baseline without
+    strong errors absorbs them as noise. If neither converges at usual sizes, the errors of
+    observations (arm, delays, irons) are fitted first and those of sensors next, in shorter steps.
+
+    without: ids of effects to leave out, because a fit came to an implausible size of them.
     """
     have = {*base.ids, *without}
     new = [e for e in common([f.case for f in base.parts]) if e.id not in have]
@@ -65,17 +66,17 @@ def dense(base: Model, without: Set[str] = frozenset()) -> Model:
 
 
 def plain(base: Model) -> Model:
-    """The baseline of a fit with common effects: biases and the hand alone."""
+    """The baseline fit alone, biases and the hand, from a fit with common effects."""
     effects = [e for e in base.effects if e.always]
     found = fitted(base.parts, effects, noise_rounds=2, tolerance=TOLERANCE)
     if np.isfinite(found.log_evidence):
         return found
-    # (what it lacks may be so strong that it can only be begun with wide noise)
+    # (missing errors may be so strong that only wide initial noise converges)
     return baseline([replace(f.case, delays={}) for f in base.parts])
 
 
 def _from_both(base: Model, effects: Sequence[Effect], trusted: float = TRUSTED) -> list[Model]:
-    """Fits of these effects from a fit as it is, and from its trajectory with the usual noise."""
+    """Two fits of these effects: from the base with its own noise, and with the usual noise."""
     fit = partial(fitted, effects=effects, noise_rounds=2, tolerance=TOLERANCE, trusted=trusted)
     usual = [with_usual_noise(f) for f in base.parts]
     return [*in_parallel([partial(fit, base.parts), partial(fit, usual)])]
@@ -86,10 +87,11 @@ def _better(model: Model) -> tuple[bool, float]:
 
 
 def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
-    """The fit with no effect but those that every model has, where every other begins.
+    """The fit with only the effects of every model, from which all others start.
 
-    A magnetometer's hard iron is tried from all that its readings may lie around. A gyro bias
-    beyond the usual has a prior of its scale: the usual one would give it to rarer errors.
+    A magnetometer's hard iron starts from the centre of each sphere that fits its readings. A gyro
+    bias beyond its usual size gets a prior of that scale, or rarer errors would absorb it. Raises
+    HandcalError if no start converges.
     """
     effects = always(cases)
     ways = [tuple(cases)]
@@ -97,7 +99,7 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
         ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
 
     def begun(way: Sequence[Case]) -> Model:
-        # (written down, as what was found is)
+        # (at the tolerance of a fit that is written down)
         first = [started(c, effects, engine) for c in way]
         found = fitted(first, effects, noise_rounds=2, tolerance=TOLERANCE)
         wide = [_with_wide_gyro_bias(f) for f in found.parts]
@@ -116,8 +118,8 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
 
 
 def _with_wide_gyro_bias(f: Fitted) -> Case:
-    """The case with a prior for a gyro bias as large as that of its fit; the same where that is the
-    usual one, or the fit is none. (An accelerometer's bias may be a tilt that is not known.)"""
+    """The case with a gyro bias prior as wide as the fitted bias; the same case if that is usual or
+    the fit diverged. (Not for the accelerometer, whose large bias may be an unknown tilt.)"""
     bias = f.trajectory.bg
     start = with_wide_gyro_bias(f.case.start, bias) if np.isfinite(bias).all() else f.case.start
     same = np.array_equal(start.bias_sigma, f.case.start.bias_sigma)
@@ -125,7 +127,7 @@ def _with_wide_gyro_bias(f: Fitted) -> Case:
 
 
 def _attempt(begun: Callable[[Sequence[Case]], Model], way: Sequence[Case]) -> Model | HandcalError:
-    """The fit, or why there is none: of several starts one may diverge."""
+    """The fit, or the error if it diverges: of several starts one may."""
     try:
         return begun(way)
     except HandcalError as error:
@@ -133,7 +135,10 @@ def _attempt(begun: Callable[[Sequence[Case]], Model], way: Sequence[Case]) -> M
 
 
 def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled") -> Fitted:
-    """A first trajectory by the online filter, with the effects that it cannot do without."""
+    """A first trajectory from the online filter, with the effects that it needs to converge.
+
+    Raises HandcalError if the filter diverges.
+    """
     problem = problem_with(case, effects)
     problem = relinearised(problem, np.zeros(problem.constants), np.zeros(3), np.zeros(3))
     levels = noise_levels.initial_levels(problem) | {
@@ -144,7 +149,7 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
     if is_long(problem, nominal):
         if not np.isfinite(nominal.p).all():
             raise no_fit([case.recording])
-        # (the fit that begins here goes on until it rests, a piece at a time)
+        # (a long recording is linearised piece by piece in the fit)
         return Fitted(case, About(problem, case.start, nominal), levels)
     linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():

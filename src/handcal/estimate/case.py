@@ -1,4 +1,4 @@
-"""A recording made ready for explaining: what is observed, which effects it could show."""
+"""A recording prepared for a fit: its observations, and the effects that it could show."""
 
 from __future__ import annotations
 
@@ -21,15 +21,18 @@ from handcal.recordings.bridged import bridged
 from handcal.signals import at_its_temperature
 from handcal.types import Array, HandcalError, Prior, Recording, Series
 
-# A recording of which no more than this lies outside its rests is one of a device that lies, s.
+# Largest time outside rests in a recording of a device at rest, s.
 BESIDE_S = 1.0
 
 
 @dataclass(frozen=True)
 class Edit:
-    """Readings of one kind that are merely wrong: ``dropped``, numbers of the rows left out;
-    shifted: from, to (s) and by how much (rad) others are turned back, or (m) the held point is
-    moved; constant: log-evidence of what was left out, less what is paid for the rest."""
+    """An edit of one kind of observation.
+
+    dropped: indices of rows left out as outliers. shifted: from, to (s), and the angle (rad) by
+    which headings are turned back, or the distance (m) that the held point moves. constant:
+    log-evidence of the dropped rows, less the cost of the shift.
+    """
 
     kind: str
     dropped: tuple[int, ...]
@@ -41,13 +44,11 @@ class Edit:
 class Case:
     """One recording and all that does not change with the model.
 
-    observed: kinds with their rows and constants; delays: s by which the readings of a kind
-    are taken to come late, for linearising about; fixed: noise levels that are known;
-    constant: log-evidence of readings that are held to be outliers and left out; read: the
-    recording as it was read, of which ``recording`` may hold averages; noise_until: noise levels
-    are found in what comes before, s; edits: what was made of the rows; iron: hard iron (3,) with
-    which the first trajectory begins, and its sigmas (3,), tesla. before: what is known of the
-    device.
+    observed: kinds with their rows and constants. delays: of each kind of observation, s, to
+    linearise about. fixed: noise levels that are known, SI. constant: log-evidence of dropped
+    outliers. read: the recording before averaging (``recording`` may hold averages). noise_until:
+    end of the part in which noise levels are estimated, s. edits: changes of the rows. iron:
+    initial hard iron (3,) and its sigmas (3,), tesla. before: prior of the device.
     """
 
     recording: Recording
@@ -82,9 +83,9 @@ class Case:
 
 
 HELD = "held"
-# A difference of so much iron (tesla) leads no start astray.
+# Hard iron error with which a start still converges, tesla.
 MUCH_IRON = 5e-6
-# Readings of an IMU a second that explain a hand as well as more would.
+# Least IMU rate after averaging: a hand has nothing faster to show.
 ENOUGH_HZ = 90.0
 
 
@@ -101,12 +102,12 @@ def case_of(
     reference_exact: bool = False,
     before: Prior | None = None,
 ) -> Case:
-    """A recording with what is observed of it; ``auto`` begins with a held point, since errors of
-    the sensors look like a travelling hand.
+    """A recording with its observations. With ``auto`` the point is assumed held, since sensor
+    errors look like a travelling hand.
 
-    kinds: of observation, instead of those that streams and ``assume`` suggest; fixed: noise
-    levels that are known, SI; start: a prior of the first state instead of levelling;
-    reference_exact: a reference has no bias; before: what is known of the device.
+    kinds: of observation, instead of those that streams and ``assume`` imply. fixed: noise levels
+    that are known, SI. start: prior of the first state instead of levelling. reference_exact: a
+    reference has no bias. before: prior of the device.
     """
     read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
@@ -140,7 +141,7 @@ def case_of(
 def _chosen(recording: Recording, assume: str, rests: Array, reference_exact: bool) -> Choice:
     choice = choose(recording, assume, rests, reference_exact)
     if "fixed_position" in choice.kinds and segment.at_rest(recording):
-        # What lies still turns no more than the Earth does, whatever point is held.
+        # A device at rest turns with the Earth only.
         return replace(choice, kinds=(*choice.kinds, "zero_rate"))
     return choice
 
@@ -160,7 +161,7 @@ def creeping(case: Case) -> Case:
 
 
 def edited(case: Case, edit: Edit) -> Case:
-    """The case with this made of the rows of one kind."""
+    """The case with an edit applied to the rows of one kind."""
     observed = list(case.observed)
     k = case.kinds.index(edit.kind)
     observation, rows, constants = observed[k]
@@ -185,9 +186,8 @@ def edited(case: Case, edit: Edit) -> Case:
 def thinned(recording: Recording) -> Recording:
     """A fast IMU's readings averaged in groups, so that at least ENOUGH_HZ are left.
 
-    A hand does nothing within a hundredth of a second, and the mean of a few readings holds
-    all they say of an angle; the time it takes to explain them falls with their number. What a
-    reference says at one instant is not what a mean says: it is averaged in the same way.
+    A hand does nothing within 10 ms, and a mean keeps all the information of a few readings on an
+    angle. The run time falls with their number. A reference is averaged over the same spans.
     """
     group = int(recording.rate_hz / ENOUGH_HZ)
     if group < 2:
@@ -210,12 +210,12 @@ def thinned(recording: Recording) -> Recording:
 
 
 def _mean(t: Array, gyro: Array, accel: Array) -> tuple[Array, Array]:
-    """Mean rate and force (k, 3) of groups (k, g, 3) read at times (k, g).
+    """Mean rate and force (k, 3) of groups (k, g, 3) at times (k, g) s, corrected for the rotation
+    within a group.
 
-    The axes turn meanwhile: forces are averaged in the axes of the middle (sculling; while the
-    device turns at 500 deg/s, a plain mean over 10 ms would lose 3 mm/s^2 of gravity), and of the
-    turns it counts that they come one after the other (coning). Savage, Journal of Guidance,
-    Control and Dynamics 21 (1998), to the second order.
+    Forces are averaged in the axes of the middle (sculling): at 500 deg/s a plain mean over 10 ms
+    would lose 3 mm/s^2 of gravity. Rates are corrected for the order of rotations (coning). Savage,
+    Journal of Guidance, Control and Dynamics 21 (1998), to second order.
     """
     count = t.shape[1]
     rate = gyro.mean(axis=1)
@@ -229,8 +229,8 @@ def _mean(t: Array, gyro: Array, accel: Array) -> tuple[Array, Array]:
 
 
 def _averaged(series: Series, width: float, count: int) -> Series:
-    """A reference (rate and force) averaged over so many instants, spread evenly over ``width``
-    s about each of its stamps that has as much on both sides."""
+    """A reference (rate and force) averaged over ``count`` instants, spread evenly over ``width``
+    s about each stamp. Stamps too close to either end are dropped."""
     if len(series.t) < 4:
         return series
     from scipy.interpolate import CubicSpline
@@ -243,8 +243,8 @@ def _averaged(series: Series, width: float, count: int) -> Series:
 
 
 def other_irons(case: Case) -> list[Case]:
-    """The case begun with other hard irons of its magnetometer, where its readings do not show
-    which it is: other spheres on which they may lie, and none at all."""
+    """Alternative starts of a case whose magnetometer readings leave the hard iron ambiguous: the
+    centres of the other spheres that fit them, and no iron."""
     if "magnetometer" not in case.kinds:
         return []
     best, *others = mag_hard_iron.spheres(case.recording)
@@ -268,7 +268,7 @@ def _with_iron(case: Case, iron: Array, sigma: Array) -> Case:
 
 
 def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:
-    """The case's problem with these effects, not linearised yet."""
+    """The case's problem with these effects, before linearisation."""
     observed = [
         (o, replace(rows, delay=case.delays.get(o.kind, 0.0)), constants)
         for o, rows, constants in case.observed
@@ -277,7 +277,7 @@ def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:
 
 
 def applicable(case: Case, effect: Effect) -> bool:
-    """Whether this recording could show the effect at all, and has to be asked."""
+    """Whether this recording could show the effect, so that it is a candidate."""
     if effect.baseline:
         return False
     if any(n not in (ATTITUDE, PLACE, *case.recording.streams) for n in effect.needs):
@@ -285,7 +285,7 @@ def applicable(case: Case, effect: Effect) -> bool:
     if PLACE in effect.needs and not any(o.places for o, _, _ in case.observed):
         return False
     if ATTITUDE in effect.needs and not any(o.navigates for o, _, _ in case.observed):
-        # beside a reference nothing is integrated: what changes the world, both sensors feel
+        # (beside a reference nothing is integrated, and both sensors see the same world)
         return bool(set(case.kinds) & effect.acts_on)
     if effect.id == "earth_rate" and bool(np.any(case.earth[1])):
         return False
@@ -298,15 +298,15 @@ def applicable(case: Case, effect: Effect) -> bool:
 
 
 def _lies(case: Case) -> bool:
-    """Whether the device rests all the while, so that no error can go with its motion."""
+    """Whether the device rests throughout, so that errors with its motion cannot show."""
     still = float(np.diff(case.rests, axis=1).sum()) if len(case.rests) else 0.0
     return still > case.recording.duration_s - BESIDE_S
 
 
 def frozen_at(effect: Effect, moment: Array) -> Effect:
-    """The effect with what it is not linear in held at ``moment`` (p,): only the rest is free.
+    """The effect with its nonlinear parameters (a moment) held at the values in ``moment`` (p,).
 
-    The parameters that are not zero at the moment are the ones held.
+    Parameters that are zero in ``moment`` stay free; the others are held.
     """
     free = np.flatnonzero(moment == 0.0)
     error = effect.imu_error
@@ -335,7 +335,7 @@ def name_of(effect_id: str) -> str:
 
 
 def no_fit(recordings: Sequence[Recording]) -> HandcalError:
-    """Why there is no result, with what was odd about the recordings themselves: that may be it."""
+    """The error of a diverged fit, with the recordings' warnings, which may be the cause."""
     said = dict.fromkeys(w for r in recordings for w in r.warnings)
     also = f" Of the readings: {' '.join(said)}" if said else ""
     return HandcalError(

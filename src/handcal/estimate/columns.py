@@ -1,9 +1,9 @@
-"""What constants that a model does not have would do, beside one pass of the filter about it.
+"""Sensitivity columns of absent constants, added to one pass of the filter.
 
-Linearised about a trajectory, the gains of a pass do not depend on what else there may be: a
-further constant that is zero there is one more column, which the pass has not to be repeated
-for. What errors of the readings do to the state at the end of each window, and to what is seen
-on the way, is worked out once; a column is then a sum over the samples.
+Linearised about a trajectory, the gains of a pass do not depend on further constants that are zero
+there. Each such constant is one more column of innovations, without another pass. The response of
+the state at the end of each window, and of the observations within it, to errors of the readings
+is computed once. A column is then a sum over the samples.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from handcal.estimate.trajectory import biases
 from handcal.types import Array, IntArray
 
 T = TypeVar("T")
-# Constants at nodes whose slopes are worked out together (each has one to three, in three arrays:
-# 100 MB and more).
+# Constants times nodes whose slopes are computed together (some 100 MB).
 SLOPES = 5e6
-# Numbers of innovations that are worked out at a time: 16 MB.
+# Innovations that are computed at a time (16 MB).
 PIECE = 2e6
 
 
 @dataclass(frozen=True)
 class Ground:
-    """A linearised problem, a pass of the filter over it, and what further columns begin with.
+    """A linearised problem, one pass of the filter over it, and the responses for further columns.
 
     windows: first and last node of each window (K,), and where its rows of ``weights[1]`` begin;
     weights, scalars: see ``columns_kernel``; rows: first of the scalars of each reading (q, 2),
-    -1 for none, and its shares in them (q, 2); by_reading (q, m, 6): of readings by rate and force.
+    -1 for none, and its shares in them (q, 2); by_reading (q, m, 6): derivatives of the
+    observations by rate and force.
     """
 
     linear: Linear
@@ -53,7 +53,8 @@ class Ground:
 
 
 def ground(linear: Linear, fresh: Problem, levels: Mapping[str, float]) -> Ground:
-    """Where scans about a linearised problem begin; fresh: the same problem before that."""
+    """The common start of scans about a linearised problem; fresh: the same problem before
+    linearisation."""
     done = reduced_pass(reduce(linear), levels)
     told = excited(linear, fresh)
     reduction, nominal = done.reduction, linear.trajectory
@@ -91,9 +92,11 @@ def _rows(done: ReducedPass) -> tuple[IntArray, Array]:
 def _looks(
     linear: Linear, done: ReducedPass, start: IntArray, rows: tuple[IntArray, Array]
 ) -> tuple[tuple[IntArray, IntArray, Array], IntArray, IntArray]:
-    """What sees the state within windows: of each epoch the first of those looks (k + 1,), and of
-    each look its scalar within the window and h (9,); of each window the first (K + 1,) of its
-    scalars that look so, and which these are."""
+    """Observations of the state within windows, not at their starts.
+
+    By epoch: the first of its observations (k + 1,); of each observation its scalar within the
+    window, and h (9,). By window: the first of its scalars (K + 1,). Last, all these scalars.
+    """
     k, count = len(linear.t), len(start)
     at = np.repeat(np.arange(k), np.diff(linear.first))
     of = np.searchsorted(start, np.arange(k), side="right") - 1
@@ -113,8 +116,10 @@ def _looks(
 
 @dataclass(frozen=True)
 class Wider:
-    """What a pass says of its constants and of those of further effects, the last ones (see
-    ``ReducedPass``); own, further: innovations of either."""
+    """A pass with the constants of further effects appended (see ``ReducedPass``).
+
+    own, further: innovation columns (s, c) of its own constants and of the further ones.
+    """
 
     reduction: Reduction
     own: Array
@@ -124,14 +129,14 @@ class Wider:
 
     @property
     def nu(self) -> Array:
-        """Innovations of all, as they lie beside each other."""
+        """All innovation columns, own ones first."""
         return np.hstack([self.own, self.further])
 
 
 def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = None) -> Wider:
-    """The pass with columns for the constants of effects that it does not have, none of them noise.
+    """The pass with columns for the constants of absent effects, none of them noise.
 
-    seen: the problem of those alone that act on what is observed, if any do.
+    seen: a problem of those effects alone that act on observations; None if there are none.
     """
     done = about.done
     slots = slots_of(effects)
@@ -151,7 +156,7 @@ def _work(done: ReducedPass, columns: int) -> kernel.FollowedWork:
 
 
 def _with(done: ReducedPass, effects: Sequence[Effect]) -> Reduction:
-    """What was reduced, with the constants of effects that it does not have."""
+    """The reduction with the constants of absent effects appended."""
     slots, reduction = slots_of(effects), done.reduction
     linear = reduction.linear
     problem = replace(
@@ -169,7 +174,7 @@ def _with(done: ReducedPass, effects: Sequence[Effect]) -> Reduction:
 
 @dataclass(frozen=True)
 class Spread:
-    """What a pass says of its constants and of others in each epoch."""
+    """A pass with constants that differ from epoch to epoch; log_likelihood: a, b, G."""
 
     reduction: Reduction
     log_likelihood: tuple[float, Array, Array]
@@ -178,11 +183,11 @@ class Spread:
 def spread(
     about: Ground, pattern: Sequence[Effect], effects: Sequence[Effect], place: IntArray
 ) -> Spread:
-    """The pass with columns for constants that are others in each epoch.
+    """The pass with columns for constants that differ from epoch to epoch.
 
-    pattern: effects that say what c constants do; place (K, c): which constant of ``effects`` each
-    is from epoch k to the next. A column is zero until its epoch, and the pass goes in pieces, so
-    that thousands of them take little memory.
+    pattern: effects that define the action of c constants. place (K, c): index into the constants
+    of ``effects`` that each of these is from epoch k to the next. Columns are computed in pieces,
+    so that thousands of them take little memory.
     """
     done, names = about.done, [(s.owner, s.name) for s in slots_of(pattern)]
     D_one, g_one = _driven(about, pattern, names, None)
@@ -202,7 +207,7 @@ def spread(
             g[np.arange(len(g)), place[epoch[s], c]] += g_one[s, c]
         nu = np.empty_like(g)
         kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (a, b))
-        # (of a variance that ran away the sums are none either way)
+        # (a diverged pass may have negative variances; its sums mean nothing)
         weight = 1.0 / np.sqrt(np.abs(done.S[s]))[:, None]
         # (a column is zero until its epoch)
         begun = np.flatnonzero(nu.any(axis=0))
@@ -232,7 +237,7 @@ def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
 
 
 def in_groups(all_: Iterable[T], size: Callable[[T], int], most: float) -> Iterator[list[T]]:
-    """All of these in their order, as many together as are of this size at the most (or one)."""
+    """Consecutive groups, each of a total size of ``most`` or less, or of one item."""
     group: list[T] = []
     sizes = 0
     for x in all_:
@@ -246,15 +251,15 @@ def in_groups(all_: Iterable[T], size: Callable[[T], int], most: float) -> Itera
 
 
 def columns_of(effect: Effect) -> int:
-    """How many columns it has."""
+    """The number of an effect's columns."""
     return len(effect.parameters)
 
 
 def _driven(
     about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], seen: Problem | None
 ) -> tuple[Array, Array]:
-    """D (K, v, c) and g (s, c) of further effects' constants, those that act on the readings
-    first."""
+    """D (K, v, c) and g (s, c) of further effects' constants: their additions to the state at the
+    ends of windows, and to the observations. Effects that act on the readings come first."""
     done, told, c = about.done, about.excited, len(names)
     nominal = about.linear.trajectory
     D = np.zeros((len(done.arrays.A), done.reduction.navigation, c))
@@ -287,7 +292,7 @@ def _driven(
 
 
 def _excite(about: Ground, effects: Sequence[Effect], out: tuple[Array, Array]) -> None:
-    """Add to D (K, v, c), and take from g (s, c), what effects that act on the readings do."""
+    """Add the effects that act on IMU readings to D (K, v, c), and subtract them from g (s, c)."""
     node = np.zeros(0, dtype=np.int64)
     if len(about.by_reading):
         first = about.linear.problem.nodes.first
@@ -312,7 +317,7 @@ def _excite(about: Ground, effects: Sequence[Effect], out: tuple[Array, Array]) 
 def _see_past(
     about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], g: Array
 ) -> None:
-    """Take from g (s, c) what effects with columns of their own (``Effect.seen``) add."""
+    """Subtract effects with observation columns of their own (``Effect.seen``) from g (s, c)."""
     linear, (first, share) = about.linear, about.rows
     for e, mine, columns in seen_over_time(linear.problem, linear.trajectory, effects):
         at = [i for i, (owner, _) in enumerate(names) if owner == e.id]
@@ -323,8 +328,10 @@ def _see_past(
 
 
 def _measured(measure: Array, first: IntArray, g: Array) -> Array:
-    """g (s, c) of readings whose first scalars are ``first`` (q,), -1 for none, times what their
-    residuals (q, m, m) are multiplied by."""
+    """g (s, c) multiplied by the weights ``measure`` (q, m, m) of the residuals.
+
+    first (q,): first scalar of each reading, -1 for none.
+    """
     used = np.flatnonzero(first >= 0)
     at = first[used, None] + np.arange(measure.shape[1])
     out = g.copy()

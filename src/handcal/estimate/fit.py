@@ -2,7 +2,7 @@
 
 Every recording has its own trajectory, biases and noise levels; the effects' parameters
 are shared. Each round of relinearisation adds the recordings' quadratics, solves for the
-shared parameters, and moves each trajectory by what follows for it.
+shared parameters, and updates each trajectory from them.
 """
 
 from __future__ import annotations
@@ -29,38 +29,37 @@ from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local
 from handcal.estimate.transfer import begun, linearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Prior
 
-# Nats within which evidence rests: of a fit that is written down, of one that a search compares
-# with others, and before noise levels are found anew, which changes it by more.
+# Convergence tolerances of the evidence, nats: of a fit that is written down, of one that a search
+# compares with others, and before a new estimate of the noise levels, which changes it by more.
 TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
-# Of these, within which noise levels are found (a search ends where less is promised).
+# Share of the tolerance within which noise levels are estimated.
 OF_NOISE = 0.25
-# Nats below what other noise levels gave at which a trajectory is given up.
+# Loss of evidence under new noise levels at which a trajectory is given up, nats.
 ASTRAY = 20.0
-# Of the way to other noise levels, as far as the trajectory can follow.
+# Shares of the step to new noise levels, tried in turn until the trajectory converges.
 SHARES = (1.0, 0.3, 0.1)
-# Levels that move by less, in their logarithm, stay where they are: there is nothing to follow.
+# Smallest change of the logarithm of a noise level after which the fit is repeated.
 STILL = 0.02
-# White noise of a sensor beyond what its readings show would be an alibi for whatever physics
-# is missing.
+# Largest white noise of a sensor, times what its readings show. More would absorb missing physics.
 EXCESS = 1.3
-# No parameter is moved by more at once, in standard deviations of its prior.
+# Longest step of a parameter in one round, in standard deviations of its prior.
 TRUSTED = 20.0
-# Of a step that leads to what is no motion, as much is taken instead.
+# Shares of a step, tried in turn until the trajectory is a plausible motion.
 DAMPED = (1.0, 0.3, 0.1)
-# From one epoch to the next, m and m/s, no trajectory jumps so far.
+# Largest discontinuity of a plausible trajectory from one epoch to the next, m and m/s.
 BEYOND = 1e3
-# Nats that wider scales of the priors must promise to be tried.
+# Gain of the wider scales of the priors from which they are tried, nats.
 MORE = 0.5
-# No device's bias is so many times what is usual: a fit that says so is of something else.
+# Largest plausible bias, in standard deviations of its prior.
 FURTHEST = 25.0
-# Nor is any error, in standard deviations of its prior: two of the widest scale. (What two effects
-# share, all scales together and gravity, may otherwise run away with both.)
+# Largest plausible error, in standard deviations of its prior: two of the widest scale. It bounds
+# pairs of effects that nearly cancel, such as all scale errors together and gravity.
 LARGEST = 2.0 * float(SCALES[-1])
 
 
 def known_of(model: Model, free: Set[str] = frozenset()) -> Known:
-    """What a model says of its parameters, for the fit of other observations; of effects that are
-    ``free`` no more than their priors do."""
+    """The posterior of a model's parameters, as a prior for a fit of other observations. Effects in
+    ``free`` keep their usual prior."""
     names = model.quadratic.names
     own = np.array([n[0] not in free for n in names], dtype=bool)
     C = np.where(np.outer(own, own), model.covariance + 1e-12 * np.eye(len(names)), 0.0)
@@ -69,7 +68,8 @@ def known_of(model: Model, free: Set[str] = frozenset()) -> Known:
 
 
 def known_before(effects: Sequence[Effect], before: Prior | None) -> Known | None:
-    """What is known of a device of these effects; the others as uncertain as is usual."""
+    """The prior of these effects' parameters from ``before``, what is known of the device. Effects
+    that it does not cover keep their usual prior. None if it covers none of them."""
     listed = [(e.id, p) for e in effects if e.process is None for p in e.parameters]
     names = tuple((i, p.name) for i, p in listed)
     at = [] if before is None else [k for k, n in enumerate(before.names) if n in names]
@@ -89,19 +89,22 @@ def known_before(effects: Sequence[Effect], before: Prior | None) -> Known | Non
 
 
 def believed(model: Model, excess: Mapping[str, float]) -> Model:
-    """A fit to a device that was known before, the recordings' own say divided by how much their
-    scores scatter beyond it: what was known does not become less certain by that."""
+    """A fit with a prior from the device, its information from the recordings divided by the
+    ``excess`` scatter of their scores. The prior's own information is kept whole.
+
+    excess: by effect, the factor by which scores scatter more than the information matrix says.
+    """
     q = model.quadratic
     s = np.array([1.0 / math.sqrt(excess.get(i, 1.0)) for i, _ in q.names])
     G = q.G * np.outer(s, s)
-    # (about where the fit is: the likeliest values may be anywhere along what is hardly shown)
+    # (scaled about the fit, since the maximum is undefined along weakly observed directions)
     b = G @ model.u + s**2 * (q.b - q.G @ model.u)
     found = _posterior(Quadratic(q.names, q.a, b, G), model.effects, model.known)
     return replace(model, u=found.mean, covariance=found.covariance)
 
 
 def own_levels(f: Fitted) -> dict[str, float]:
-    """Levels that the effects of a fit bring along."""
+    """Noise levels of a fit that belong to its effects."""
     own = {lv.name for e in f.problem.effects for lv in e.levels}
     return {k: v for k, v in f.levels.items() if k in own}
 
@@ -115,15 +118,17 @@ def fitted(
     of_use: float = -math.inf,
     trusted: float = TRUSTED,
 ) -> Model:
-    """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
-    until the evidence rests within ``tolerance`` nats, or sinks below what would be ``of_use``, or
-    rests there at the noise levels that it began with. trusted: see ``relinearised_parts``, before
-    noise levels are found anew.
-    (Those that are made as they are asked for are gone when the first round has left them.)"""
+    """The fit of these effects to all recordings, from the trajectories and noise of other fits.
+
+    begin: those fits; an iterator saves memory, since its items are released after the first
+    round. noise_rounds: how often noise levels are estimated at the most. tolerance: nats within
+    which the evidence rests. of_use: evidence below which a sinking fit is given up. trusted:
+    longest step before the noise levels are estimated, see ``relinearised_parts``.
+    """
     rest = tolerance if noise_rounds == 0 else ROUGH
     parts = [begun(f, effects) for f in begin]
     wide = known is None and any(_begins_wide(f) for f in parts)
-    # (handed on one by one: whoever keeps them here keeps what they are linearised to as well)
+    # (handed on one by one, since a reference here would keep their linearisations in memory)
     handed_on = (parts.pop(0) for _ in range(len(parts)))
     constant = sum(f.case.constant for f in parts)
     of_use -= constant
@@ -163,8 +168,7 @@ def fitted(
 
 
 def _still_reduced(now: Rested) -> tuple[Fitted, ...]:
-    """The parts; long ones with what they were reduced to when they came to rest, for whoever shows
-    them."""
+    """The parts; long ones keep the reduction of their last round, which displays use."""
     return tuple(
         replace(f, about=holding(f.about, r)) if is_long(f.problem, f.trajectory) else f
         for f, r in zip_longest(now.parts, now.reductions)
@@ -172,10 +176,9 @@ def _still_reduced(now: Rested) -> tuple[Fitted, ...]:
 
 
 def _widened(now: Rested, effects: Sequence[Effect], known: Known | None) -> Rested:
-    """The fit with all scales of the priors, where some effect asks for more than the usual one.
+    """The fit with all scales of the priors, if some effect is likelier under a wider one.
 
-    (First at the usual scales, unless it began beyond them: seen from far off, anything may look
-    large.)
+    (Only after a fit at the usual scales, since far from convergence any parameter may look large.)
     """
     if now.wide or known is not None:
         return now
@@ -198,18 +201,21 @@ def _with_levels(
     known: Known | None,
     tolerance: float,
 ) -> Rested | None:
-    """The fit at these noise levels, or as far on the way to them as the trajectory can follow:
-    about one trajectory, evidence may favour a noise so small that no other is as good. None where
-    it cannot follow at all. still: whether they are where they were, to ``STILL``."""
+    """The fit at new noise levels, or at a share of the step to them at which it converges.
+
+    None if it converges at none of ``SHARES``: about one fixed trajectory the evidence may favour
+    noise too small for any other. have: reductions of the current parts. new: the parts with the
+    new levels. still: whether these differ from the current ones by less than ``STILL``.
+    """
     parts = now.parts
-    # (where the last step and these levels change less than that, there is nothing to follow)
+    # (if the last step changed less than the tolerance, one pass may confirm the fit)
     near = now.evidence if now.settled and now.step < tolerance else math.nan
     go = partial(relinearised_parts, effects=effects, known=known, wide=now.wide,
                  tolerance=tolerance, reductions=have)  # fmt: skip
     if still:
-        # (whether it rests or goes to and fro, about these it does so with any share of their way)
+        # (shares of so small a step would make no difference)
         return go(new, rested=near)
-    # (of noise that is a part's alone the whole need not be the better)
+    # (levels that are estimated in one part of a recording may lower the evidence of the whole)
     least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
     for share in SHARES:
         towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
@@ -220,7 +226,7 @@ def _with_levels(
 
 
 def _change(old: Sequence[Fitted], new: Sequence[Fitted]) -> float:
-    """By how much the noise level that moved most has moved, in its logarithm."""
+    """The largest change of the logarithm of a noise level."""
     return max(
         abs(math.log(n.levels[k] / o.levels[k]))
         for n, o in zip(new, old, strict=True)
@@ -229,14 +235,14 @@ def _change(old: Sequence[Fitted], new: Sequence[Fitted]) -> float:
 
 
 def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
-    """No fit at all: its evidence is worse than any other."""
+    """A diverged fit: its evidence is minus infinity."""
     nothing = Quadratic((), -math.inf, np.zeros(0), np.zeros((0, 0)))
     none = np.zeros((0, 0))
     return Model(tuple(effects), tuple(parts), nothing, np.zeros(0), none, -math.inf, False)
 
 
 def _told(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Quadratic:
-    """What all recordings say of the effects' parameters."""
+    """The quadratic of the effects' parameters, summed over all recordings."""
     return total([_local(f, effects).quadratic for f in parts])
 
 
@@ -248,7 +254,7 @@ def _asks_for_more(whole: Quadratic, effects: Sequence[Effect]) -> bool:
 
 
 def _begins_wide(f: Fitted) -> bool:
-    """Whether some effect has constants here that wider scales than the usual one make likelier."""
+    """Whether some effect begins with constants that are likelier under a wider scale."""
     squares: dict[str, list[float]] = {}
     for s, value in zip(f.problem.slots, f.trajectory.constants, strict=True):
         if has_tails(s.owner):
@@ -274,8 +280,11 @@ def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
 
 
 def _sane(linear: Linear, *seen: Array) -> bool:
-    """Whether this is a motion at all; a step astray grows from round to round. seen: what its
-    observations see."""
+    """Whether a linearised trajectory is a plausible motion: finite, continuous, with biases and
+    errors of plausible size. Otherwise its fit would diverge.
+
+    seen: Jacobians of the observations.
+    """
     steps = np.abs(linear.d).max(initial=0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         rest = linear.Phi.sum() + linear.r.sum() + sum(x.sum() for x in seen)
@@ -293,8 +302,8 @@ def _sane(linear: Linear, *seen: Array) -> bool:
 
 
 def _reduced_if_sane(f: Fitted) -> Reduction | None:
-    """The fit's problem reduced, and nothing kept of what it was linearised to, which is large;
-    None if it is no motion."""
+    """The reduction of a fit's problem; None if the trajectory is no plausible motion. The
+    linearisation is released, since it is large."""
     if not is_long(f.problem, f.trajectory):
         return released(f.about) if _sane(f.linear, f.linear.H) else None
     made = released(f.about)
@@ -302,7 +311,7 @@ def _reduced_if_sane(f: Fitted) -> Reduction | None:
 
 
 def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
-    """The fit with its noise levels moved by a share of the way, in their logarithms."""
+    """The new fit with noise levels at a share of the step from the old ones, in logarithms."""
     levels = {k: v * (new.levels[k] / v) ** share for k, v in old.levels.items()}
     return replace(new, levels=levels)
 
@@ -319,17 +328,16 @@ def relinearised_parts(
     of_use: float = -math.inf,
     trusted: float = TRUSTED,
 ) -> Rested:
-    """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
+    """Relinearise at fixed noise levels until the joint evidence rests (iterated Gauss-Newton).
 
-    least: where the evidence falls below that, there is no use in going on. wide: with all scales
-    of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
-    emptied, so that nobody keeps them beside those of the next round. rested: the evidence with
-    which the parts came to rest at other noise levels, their last step within the same tolerance.
-    of_use: evidence below which there is no use in going on where it only becomes less. trusted: by
-    how much a parameter is moved at once, in standard deviations of its prior.
+    least: evidence below which the fit is given up. wide: use all scales of the priors, not the
+    usual one alone. tolerance: nats. reductions: those of the parts, if known; the list is emptied
+    to free their memory. rested: evidence at which the parts rested at other noise levels, their
+    last step within the tolerance. of_use: evidence below which a fit that sinks is given up.
+    trusted: longest step of a parameter in one round, in standard deviations of its prior.
     """
     parts, handed_on = list(begin), reductions or []
-    # (a list of its own: what the last round leaves is of these parts, not of the caller's)
+    # (a copy, since the caller's list is emptied)
     reductions = [*handed_on]
     handed_on.clear()
     way = Rounds(tolerance)
@@ -348,14 +356,14 @@ def relinearised_parts(
         way.went_on(now)
         if way.runs_away:
             return Rested(parts, False, math.nan, tolerance, wide)
-        if not now > least or way.sinks(of_use):  # (nor where it is no number any more)
+        if not now > least or way.sinks(of_use):  # (also true of NaN)
             break
-        reductions.clear()  # (these and the passes are as large as what is linearised next)
+        reductions.clear()  # (frees memory before the next linearisation, which is as large)
         way.aims(seen.aim, seen.whole.G)
         far = float(np.abs(seen.aim).max(initial=0.0))
         reach = way.reach if far < trusted else min(way.reach, trusted / far)
         parts, reductions = _stepped(parts, seen, effects, known, wide, reach)
-    # (what was given up was sane in its last round)
+    # (a fit that was given up has the evidence of its last plausible round)
     sane, sank = len(reductions) == len(parts), way.sinks(of_use)
     evidence = way.evidence if sane else math.nan
     bare = [f.bare for f in parts]
@@ -363,7 +371,7 @@ def relinearised_parts(
 
 
 def _all_reduced(parts: Iterable[Fitted]) -> list[Reduction]:
-    """Each part reduced; those left out that are no motion."""
+    """Reductions of the parts; parts that are no plausible motion are left out."""
     return [r for r in map(_reduced_if_sane, parts) if r is not None]
 
 
@@ -375,7 +383,11 @@ def _stepped(
     wide: bool,
     reach: float,
 ) -> tuple[list[Fitted], list[Reduction]]:
-    """The parts a step further, and reduced; of a step to what is no motion, a part of it."""
+    """The parts after one step, and their reductions. The step is shortened by ``DAMPED`` if it
+    leads to no plausible motion.
+
+    reach: share of the full step; above 1 it extrapolates.
+    """
     for share in DAMPED:
         if share < 1.0:
             seen = _seen(parts, _all_reduced(parts), effects, known, wide)
@@ -389,7 +401,8 @@ def _stepped(
 
 @dataclass(frozen=True)
 class _Seen:
-    """One pass over all parts: what each says, and what they say of the effects together."""
+    """One pass over all parts: each part's quadratic, their sum, and the posterior mean (k,) in
+    units of the priors, with the joint evidence."""
 
     passes: list[ReducedPass]
     locals: Sequence[Local]
@@ -399,7 +412,7 @@ class _Seen:
 
     @property
     def aim(self) -> Array:
-        """How far the parameters are from where they are thought to be."""
+        """The step (k,) from the current parameters to the posterior mean, in prior units."""
         here = {n: u for x in self.locals for n, u in zip(x.quadratic.names, x.here, strict=True)}
         return self.mean - np.array([here[n] for n in self.whole.names], dtype=np.float64)
 
@@ -412,7 +425,7 @@ def _seen(
     wide: bool,
 ) -> _Seen:
     shared = frozenset(e.id for e in effects)
-    # (of what is kept, a trajectory that follows asks for the covariances alone)
+    # (the smoother needs the covariances only)
     passes = [
         reduced_pass(r, f.levels, keep=True, wide=False)
         for f, r in zip(parts, reductions, strict=True)
@@ -426,8 +439,10 @@ def _seen(
 def _followed(
     parts: Sequence[Fitted], seen: _Seen, effects: Sequence[Effect], step: float
 ) -> list[Fitted]:
-    """The fits where their trajectories go with what all parts say of the constants; the passes are
-    used up."""
+    """The parts with their trajectories smoothed at the joint posterior mean of the constants.
+
+    step: share of the way that is taken. The passes are consumed, to free their memory.
+    """
     out = []
     for f, own in zip(parts, seen.locals, strict=True):
         done = seen.passes.pop(0)
@@ -439,15 +454,17 @@ def _followed(
 
 
 def with_usual_noise(f: Fitted) -> Fitted:
-    """The fit with its noise levels as they are before anything was fitted, but for those known."""
+    """The fit with initial noise levels, except fixed ones."""
     levels = noise_levels.initial_levels(f.problem)
     levels |= {k: v for k, v in f.case.fixed.items() if k in levels}
     return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
 
 
 def with_noise(f: Fitted, reduction: Reduction, near: float) -> Fitted:
-    """The fit with its noise levels estimated anew within so many nats, but for those that are
-    known; reduction: of its linearised problem."""
+    """The fit with new estimates of its noise levels, except fixed ones.
+
+    reduction: of its linearised problem. near: tolerance of the estimate, nats.
+    """
     names = tuple(lv.name for lv in f.problem.levels if lv.name not in f.case.fixed)
     if not names:
         return f

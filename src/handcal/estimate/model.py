@@ -1,4 +1,4 @@
-"""What a fit is: of one recording, and of all recordings of a device together."""
+"""Types of a fit: of one recording, and of all recordings of a device together."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array
 
-# Standard deviations below zero within which something that cannot be negative may come out.
+# Standard deviations below zero that an estimate of a positive parameter may have.
 BELOW_ZERO = 3.0
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """One recording with its trajectory under the model and its noise levels; linearised about it
-    when that is asked for."""
+    """One recording with its trajectory and noise levels under a model. It is linearised on
+    demand."""
 
     case: Case
     about: About
@@ -34,8 +34,8 @@ class Fitted:
 
     @property
     def problem(self) -> Problem:
-        """The problem before it is linearised; afterwards (``linear.problem``) its readings are
-        corrected, while slots, kinds and levels are the same."""
+        """The problem before linearisation. ``linear.problem`` has the same slots, kinds and levels
+        and corrected readings."""
         return self.about.problem
 
     @property
@@ -53,14 +53,14 @@ class Fitted:
 
     @property
     def bare(self) -> Fitted:
-        """The same without what it was linearised to, which is made again if it is asked for."""
+        """The same without its linearisation, which is made again on demand."""
         return replace(self, about=self.about.bare)
 
 
 @dataclass(frozen=True)
 class Known:
-    """What other recordings said of the parameters ``names``: mean (k,) and a square root of
-    the covariance (k, k), in units of the priors."""
+    """A prior of the parameters ``names`` from other recordings: mean (k,) and a square root of
+    the covariance (k, k), in units of the usual priors."""
 
     names: tuple[tuple[str, str], ...]
     mean: Array
@@ -71,10 +71,10 @@ class Known:
 class Model:
     """A settled fit of some effects to all recordings.
 
-    u, covariance: the effects' parameters in units of their priors, in the order of
-    ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted;
-    known: what was known of them before; swing: nats between the best and the worst of its last
-    rounds, where it does not settle.
+    u (k,), covariance (k, k): the effects' parameters in units of their priors, in the order of
+    ``quadratic.names``. log_evidence: of all recordings together, without the prior of noise
+    levels. known: prior from other recordings. swing: range of the evidence over the last rounds,
+    nats, if it does not settle.
     """
 
     effects: tuple[Effect, ...]
@@ -89,7 +89,7 @@ class Model:
 
     @property
     def bare(self) -> Model:
-        """The same without what its parts were linearised to."""
+        """The same without the linearisations of its parts."""
         return replace(self, parts=tuple(f.bare for f in self.parts))
 
     @property
@@ -98,12 +98,12 @@ class Model:
 
     @property
     def chosen(self) -> frozenset[str]:
-        """Ids of the effects that a scan weighs: all but those that are noise."""
+        """Ids of the effects that a scan evaluates: all except noise."""
         return frozenset(e.id for e in self.effects if e.process is None)
 
     @property
     def one_sided(self) -> bool:
-        """Whether nothing came out clearly negative that cannot be."""
+        """Whether no positive parameter came out clearly negative."""
         positive = {(e.id, p.name) for e in self.effects for p in e.parameters if p.positive}
         mine = np.array([n in positive for n in self.quadratic.names], dtype=np.bool_)
         sigma = np.sqrt(np.diag(self.covariance))
@@ -112,12 +112,14 @@ class Model:
 
 @dataclass(frozen=True)
 class Rested:
-    """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
-    with all scales of the priors; swing: nats between the best and the worst of its last rounds,
-    where it does not rest; step: nats that its last round changed. Where the parts rest: what all
-    recordings say, and the parts' own reductions (empty elsewhere), which other noise levels do not
-    change: whoever goes on from them empties the list, since they are large. sank: whether it was
-    given up below what would have been of use."""
+    """A fit at fixed noise levels, where its rounds ended.
+
+    settled: whether the evidence rests, within ``rest`` nats. wide: with all scales of the priors.
+    whole, reductions: if settled, the summed quadratic and the reductions of the parts. These hold
+    at other noise levels too; the next fit empties the list, to free memory. swing: range of the
+    evidence over the last rounds, nats, if it does not rest. step: change in the last round, nats.
+    sank: whether the fit was given up below the evidence of use.
+    """
 
     parts: list[Fitted]
     settled: bool

@@ -22,7 +22,7 @@ class Quadratic:
     """log p(z | u) = a + b'u - u'G u / 2 for the parameters u (k,) in units of their priors.
 
     names (k,): (effect, parameter). Everything else is integrated out. worth: power of the
-    likelihood that b and G have been given already, 1 for all of it.
+    likelihood that b and G include already; 1 is the full likelihood.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -34,9 +34,11 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class Local:
-    """A quadratic and how a recording's own unknowns follow from the shared ones:
-    their mean is base + by_shared (u - here), in prior units of deviations from the nominal, and
-    covariance is theirs where the shared ones are known."""
+    """One recording's quadratic, and its own unknowns conditional on the shared parameters u (k,).
+
+    The own unknowns have mean base + by_shared (u - here) and this covariance, as deviations from
+    the nominal in prior units. own, shared: places of either among all constants.
+    """
 
     quadratic: Quadratic
     own: IntArray
@@ -55,7 +57,8 @@ class Local:
 
 
 def local(done: OfConstants, shared_owners: frozenset[str]) -> Local:
-    """The quadratic of one recording: what belongs to ``shared_owners`` stays, the rest goes."""
+    """The quadratic of one recording in the constants of ``shared_owners``, all others integrated
+    out."""
     problem = done.reduction.linear.problem
     keep = np.array([s.owner in shared_owners for s in problem.slots], dtype=bool)
     is_shared = np.r_[np.zeros(6, dtype=bool), keep]
@@ -71,7 +74,7 @@ def local(done: OfConstants, shared_owners: frozenset[str]) -> Local:
     solved = np.linalg.solve(root.T, half)
     # in deviations from the nominal ...
     a_w = a - 0.5 * float(w0[own] @ w0[own]) + 0.5 * float(y @ y) - np.log(np.diag(root)).sum()
-    with np.errstate(over="ignore", invalid="ignore"):  # (of an effect that leaves float64's range)
+    with np.errstate(over="ignore", invalid="ignore"):  # (a diverging effect may overflow)
         b_w, G_w = b[shared] - Y.T @ y, G[np.ix_(shared, shared)] - Y.T @ Y
     # ... and in the parameters themselves, whose prior mean is zero
     here = -w0[shared]
@@ -89,7 +92,7 @@ def local(done: OfConstants, shared_owners: frozenset[str]) -> Local:
 
 
 def total(parts: Sequence[Quadratic]) -> Quadratic:
-    """Sum over recordings; a parameter that one of them does not have gets nothing from it."""
+    """Sum over recordings. A recording without a parameter adds nothing to it."""
     names = tuple(dict.fromkeys(n for p in parts for n in p.names))
     at = {n: i for i, n in enumerate(names)}
     b, G = np.zeros(len(names)), np.zeros((len(names), len(names)))

@@ -1,4 +1,4 @@
-"""What effects would add to a fit, seen from the fit: one quadratic for all that are on trial."""
+"""Scan of absent effects: one quadratic of all candidates, linearised about a fit without them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from handcal.estimate.transfer import fit_of
 
 
 def grounds(model: Model) -> list[Ground]:
-    """Where all scans about a model begin: its parts, linearised and filtered once."""
+    """The common start of all scans about a model: its parts, linearised and filtered once."""
     out = []
     for f in model.parts:
         own = fit_of(f, model.effects)
@@ -28,12 +28,11 @@ def scan(
     about: Sequence[Ground] | None = None,
     worth: float | None = None,
 ) -> Quadratic:
-    """The quadratic of the model's effects and of all candidates, none of them noise, about the
-    model's fit; about: its ``grounds``, where there is more than one scan; worth: what evidence
-    counts for, if that is known.
+    """The quadratic of a model's effects and of all candidates, about the model's fit.
 
-    Where the innovations' scatter shows that the filter trusts them too much, their evidence
-    counts for that much less (a power of the likelihood; Holmes & Walker, Biometrika 104, 2017).
+    candidates: effects, none of them noise. about: the model's ``grounds``, if they are at hand.
+    worth: power of the likelihood; None measures it by the scatter of the scores. Evidence counts
+    for less where innovations are correlated (Holmes & Walker, Biometrika 104, 2017).
     """
     have = {e.id for e in model.effects}
     new = [e for e in candidates if e.id not in have]

@@ -1,4 +1,4 @@
-"""A fit taken over: to the problem of other effects, to other constants or delays, to another
+"""Transfer of a fit to the problem of other effects, to other constants or delays, or to another
 trajectory."""
 
 from __future__ import annotations
@@ -19,15 +19,17 @@ from handcal.estimate.problem import Problem
 from handcal.estimate.sampling import interpolated
 from handcal.estimate.trajectory import Trajectory, epochs, path
 
-# A delay is linearised about where it is known to this, s.
+# Change of a delay after which its observations are linearised anew, s.
 DELAY_STEP = 0.002
 
 
 def linearised(
     f: Fitted, trajectory: Trajectory, effects: Sequence[Effect], corrected: Problem | None = None
 ) -> Fitted:
-    """The fit about the trajectory; if a delay has moved, about the moment it points to. corrected:
-    the fit's problem as it became when it was linearised, if that is at hand."""
+    """The fit about a trajectory, with observations at their newly estimated delays.
+
+    corrected: the fit's problem after linearisation, if it is at hand.
+    """
     delays = _delays(f.problem, trajectory, effects)
     known = f.case.delays
     if any(abs(delays[k] - known.get(k, 0.0)) > DELAY_STEP for k in delays):
@@ -42,7 +44,7 @@ def linearised(
 def _delays(
     problem: Problem, trajectory: Trajectory, effects: Sequence[Effect]
 ) -> dict[str, float]:
-    """Delay of each kind of observation that this trajectory's constants hold, s."""
+    """Delay of each kind of observation according to this trajectory's constants, s."""
     have = {o.kind for o in problem.observations}
     found = {}
     for e in effects:
@@ -65,18 +67,20 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
 
 
 def fit_of(f: Fitted, effects: Sequence[Effect]) -> Fitted:
-    """``moved_to``, or the fit itself where it is of these effects and of no other delays."""
+    """The fit itself if it has exactly these effects and no other delays, else ``moved_to``."""
     kept = {k for e in effects for k in e.delays}
     own = {e.id for e in f.problem.effects} == {e.id for e in effects}
     return f if own and set(f.case.delays) <= kept else moved_to(f, effects)
 
 
 def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
-    """``moved_to``, for a fit: what is one-sided begins at its usual size. (About zero a filter is
-    a delay, which others may hold already, and it would be chance on which side of it a fit ends.)
+    """``moved_to`` as the start of a fit: new positive parameters begin at their usual sizes.
+
+    (Near zero a filter acts as a delay. Delays in the model may absorb it, and the sign of the
+    estimate would be chance.)
     """
     if is_long(f.problem, f.trajectory) and fit_of(f, effects) is f:
-        return f  # (of a long one no second problem; nobody edits its case, as a search may)
+        return f  # (avoids a second problem of a long recording)
     have = {s.owner for s in f.problem.slots}
     new = [e for e in effects if e.id not in have and e.imu_inverse is not None]
     usual = {(e.id, p.name): p.prior_sigma for e in new for p in e.parameters if p.positive}
@@ -84,9 +88,10 @@ def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
 
 
 def without(model: Model, ids: Container[str]) -> Model:
-    """The model without some of its effects, about the trajectory and the sensor noise that there
-    are with all of them: fitted without them, what they held would be noise, in which no law
-    shows."""
+    """The model without some of its effects, about the trajectory and noise of the full fit.
+
+    (A fit without them would raise the noise levels, and hide the laws that are searched next.)
+    """
     rest = tuple(e for e in model.effects if e.id not in ids)
     return replace(model, effects=rest, parts=tuple(moved_to(f, rest) for f in model.parts))
 
@@ -94,8 +99,7 @@ def without(model: Model, ids: Container[str]) -> Model:
 def at_constants(
     f: Fitted, effects: Sequence[Effect], values: Mapping[tuple[str, str], float]
 ) -> Fitted:
-    """The fit, of these effects already, with some of their constants set to these values (SI)
-    and nothing else moved."""
+    """The fit with some constants of its effects set to these values (SI), all else unchanged."""
     if not values:
         return f
     constants = f.trajectory.constants.copy()
@@ -107,8 +111,10 @@ def at_constants(
 def transferred(
     nominal: Trajectory, about: About, new: Problem, corrected: Problem | None = None
 ) -> Trajectory:
-    """A trajectory of one fit's problem as one of another of the same recording; corrected: see
-    ``linearised``."""
+    """A trajectory carried over to another problem of the same recording.
+
+    nominal: trajectory of ``about.problem``. corrected: see ``linearised``.
+    """
     old = about.problem
     values = {(s.owner, s.name): v for s, v in zip(old.slots, nominal.constants, strict=True)}
     constants = np.array([values.get((s.owner, s.name), 0.0) for s in new.slots])
@@ -122,7 +128,7 @@ def transferred(
     if same:
         return replace(nominal, node=node, constants=constants, markov=markov)
     if corrected is None:
-        # (the slopes are needed only to where the constants were moved)
+        # (slopes are needed only if the trajectory is another than the one linearised about)
         corrected = about.corrected if nominal is about.trajectory else about.linear.problem
     way = path(corrected, nominal)
     return Trajectory(

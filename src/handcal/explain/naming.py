@@ -1,4 +1,4 @@
-"""What is named: effects and sets of them, terms without a name, and the hypotheses on trial."""
+"""Named effects and their ambiguity sets, terms without a name, and all hypotheses on trial."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from handcal.search.multistart import Found
 from handcal.search.space import Space, expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter
 
-# What is missing is likelier than not; a rival is listed when it has that share of its set.
+# Probability from which an effect is reported, and share of its set from which a rival is listed.
 LIKELY = 0.5
 RIVAL = 0.05
-# What is known of an effect with a name is so much of the power that it adds to a channel: a term
-# without one that adds less than the rest, a twentieth in size, may be what the formula leaves.
+# Relative accuracy of a named formula, in power (a twentieth in size). A law below it, beside names
+# on the same channels, may be the error of the formula.
 LEFT = 0.0025
-# Nats that a hand may lend to an accelerometer's error that goes with the motion, where hands that
-# drift or move on were rivals and lost: 12 to 35 in two of 28 simulated people without any error,
-# both in a lift, which lent 93 and 551 to others.
+# Largest gain of a motion-dependent accelerometer error that the hand may have caused, nats. Among
+# 28 simulated people without any error two, both in a lift, had 12 to 35 although drifting and
+# moving hands were on trial. (To others the lift gave 93 and 551, beyond this limit.)
 LENT = 40.0
 
 
@@ -43,7 +43,7 @@ def entries_of(
     learnt: Mapping[str, tuple[Parameter, ...]],
     wrong: outliers.Wrong | None,
 ) -> tuple[list[Missing], bool]:
-    """The model's effects as they would be named; whether for one of them a rival is as good."""
+    """The model's effects as reported, and whether one of them has a rival of similar odds."""
     where, model = found.space, found.model
     probable, gained = _probable(where, chosen), gains(where, chosen)
     common = shown(where, chosen)
@@ -82,8 +82,8 @@ def entries_of(
 def _of_common(
     where: Space, effect: Effect, found: Shown, own: tuple[Parameter, ...]
 ) -> tuple[Missing, bool]:
-    """A common effect that was found, under the name of what is likeliest in its place; and whether
-    something else is about as likely."""
+    """A common effect that was found, under the name of the likeliest effect in its place, and
+    whether another is about as likely."""
     odds = {effect.id: 0.0, **found.rivals}
     top = max(odds.values())
     total = sum(math.exp(v - top) for v in odds.values())
@@ -100,32 +100,31 @@ def _of_common(
 
 
 def _probable(where: Space, chosen: frozenset[str]) -> dict[str, float]:
-    """Of each effect, where a search ended with those that are chosen."""
+    """Probability of each effect at the end of a search with the chosen ones."""
     return probabilities(where, chosen, most=where.score(chosen))
 
 
 def likely(entries: Sequence[Missing], alone: Mapping[str, float]) -> list[Missing]:
-    """Those that are likelier than not, given the probability of each that it stands alone."""
+    """Entries that are likelier than not; alone: see ``standing_out``."""
     out = [replace(m, probability=m.probability * alone.get(m.effect, 1.0)) for m in entries]
     return [m for m in out if m.probability > LIKELY]
 
 
 def standing_out(model: Model) -> dict[str, float]:
-    """Probability, for each name of the model, that it is no part of what is not understood; where
-    all has a name there is none to ask."""
+    """Probability of each name of the model that it is a separate error, not part of an error
+    without a known law. Empty if the model has no law and no such error."""
     if all("+=" not in e.id for e in model.effects):
         return {}
     return {name_of(e.id): _own(model, e) for e in model.effects}
 
 
 def _own(model: Model, effect: Effect) -> float:
-    """Probability that an effect of the model is one of its own and no part of an error of which no
-    law is known, on the same channels: of what is not known, as much may be as the effect does, as
-    long as that is not much larger, on all of them together or on the one where it stands out most.
+    """Probability that an effect of the model is separate from the errors without a known law on
+    its channels.
 
-    Not known is a law that is a curve, or beside which something goes with the motion. (And what
-    noise does may be part of any: its form is the best of some, and what that leaves looks like
-    noise.)
+    It rises with the ratio of the effect's power to that of the laws and motion-dependent errors,
+    on all channels together or on the best one. It is 1 unless one of these is a curve or a
+    motion-dependent error. (For noise any law counts, since its residual looks like noise.)
     """
     if effect.id not in model.ids or "+=" in effect.id:
         return 1.0
@@ -144,13 +143,14 @@ def _own(model: Model, effect: Effect) -> float:
 def _squares(
     model: Model, effect: Effect, channels: Container[str] | None = None
 ) -> dict[str, float]:
-    """The mean square of what an effect adds to each channel about its mean; to some of them."""
+    """Variance over time of an effect's error, by channel; channels: those to include (None:
+    all)."""
     sizes = importance.sizes(model, effect, spread=True)
     return {c: v**2 for c, v in sizes.items() if channels is None or c in channels}
 
 
 def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
-    """The effect and those that could stand in its place, most probable first; its share."""
+    """The effect and its rivals of sufficient share, the effect first, and its share of the set."""
     scores = rivals(found.space, chosen, effect)
     scores = {i: s for i, s in scores.items() if "+=" not in i}
     swaps = found.swaps.items()
@@ -204,7 +204,7 @@ def unnamed_of(
 
 
 def _with_motion(model: Model, effect: Effect, gain: float) -> Unnamed:
-    """An error that goes with the motion, and of which no law was found."""
+    """A motion-dependent error without a law, as an entry of the result."""
     own = process_parameters(model, effect)
     curve, size = with_motion.course(model.parts[0], effect)
     return Unnamed(
@@ -233,7 +233,7 @@ def _unnamed(model: Model, effect: Effect, own: tuple[Parameter, ...], gain: flo
 
 
 def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unnamed:
-    """Readings that err one after the other, as a term: how far, while it lasts."""
+    """A burst of outliers as a term: their mean error, rad, from start to end, s."""
     k = outliers.heading_kind(base.parts[0].case)
     assert k is not None
     t, r = outliers.residual(base.parts[0], k)
@@ -255,7 +255,7 @@ def hypotheses_of(
     wrong: outliers.Wrong | None,
     alone: Mapping[str, float],
 ) -> tuple[Hypothesis, ...]:
-    """Every effect that was on trial, best alone first; alone: as of ``standing_out``."""
+    """Every effect on trial, the highest gain alone first; alone: see ``standing_out``."""
     where = found.space
     chosen = found.model.chosen
     probable, final = _probable(where, chosen), gains(where, chosen)
@@ -273,9 +273,9 @@ def hypotheses_of(
             continue
         verdict = "named" if name in named else "set" if name in rival else ""
         together = sum(p for k, p in probable.items() if name_of(k) == name)
-        if where.effects[i].common:  # (whether or not it is in the model, which it is)
+        if where.effects[i].common:  # (every model has it, so its own gain decides)
             together = probability(final[i])
-        if name in named:  # (it may be named in the place of a common one, which the model has)
+        if name in named:  # (it may be named in place of a common effect of the model)
             together = max(together, named[name].probability)
         out[name] = Hypothesis(
             name, catalogue()[name].title, gained, final[i],
@@ -292,7 +292,7 @@ def hypotheses_of(
 
 
 def _of_noise(found: Found, named: Set[str], alone: Mapping[str, float]) -> Iterator[Hypothesis]:
-    """The noise effects of the model."""
+    """Hypotheses of the model's noise effects."""
     for name, gain in found.noise.items():
         if name in catalogue():
             verdict = "named" if name in named else ""
@@ -303,8 +303,8 @@ def _of_noise(found: Found, named: Set[str], alone: Mapping[str, float]) -> Iter
 
 
 def by_the_hand(u: Unnamed, cases: Sequence[Case]) -> bool:
-    """Whether what goes with the motion may as well be a hand that does not hold its point: where
-    this alone tells of the accelerometer, and it is no more than hands have shown."""
+    """Whether a motion-dependent error may be a hand that does not hold its point: if it is on the
+    accelerometer only, and gains no more than simulated hands did."""
     held = any("fixed_position" in case.kinds for case in cases)
     accel = all(channel.startswith("accel") for channel in u.channels)
     lawless = with_motion.is_with_motion(u.formula)
@@ -312,7 +312,7 @@ def by_the_hand(u: Unnamed, cases: Sequence[Case]) -> bool:
 
 
 def hand_remark(u: Unnamed) -> str:
-    """The same in a sentence."""
+    """The sentence about an error for which ``by_the_hand`` is true."""
     return (
         f"The accelerometer seems to err with the motion ({u.formula}, "
         f"{u.log_evidence_gain:,.0f} nats); a hand that does not quite turn the device about one "
@@ -321,8 +321,8 @@ def hand_remark(u: Unnamed) -> str:
 
 
 def next_to_nothing(model: Model, u: Unnamed) -> bool:
-    """Whether what has no name adds next to nothing to the readings, beside what is named on the
-    same channels: none of the formulas with a name holds to the last digit."""
+    """Whether a term is negligible beside the names on the same channels, whose formulas are not
+    exact."""
     own = [e for e in model.effects if e.id == u.formula]
     names = [e for e in model.effects if "+=" not in e.id]
     mine = sum(v for e in own for v in _squares(model, e).values())
@@ -330,7 +330,7 @@ def next_to_nothing(model: Model, u: Unnamed) -> bool:
 
 
 def remark(u: Unnamed) -> str:
-    """What a term is that is too little to count."""
+    """The sentence about a term that is negligible."""
     return (
         f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: it adds next to nothing to "
         "the readings beside what is named there, and is left out of the model."
@@ -338,5 +338,5 @@ def remark(u: Unnamed) -> str:
 
 
 def parameters_of(fit: Sequence[Parameter], effect: Effect) -> tuple[Parameter, ...]:
-    """Those of a fit that are an effect's."""
+    """The parameters of an effect among those of a fit."""
     return tuple(p for p in fit if p.effect == name_of(effect.id))

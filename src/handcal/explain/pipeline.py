@@ -1,4 +1,4 @@
-"""``explain``: from recordings of one device to a verdict, with its proof."""
+"""``explain``: from recordings of one device to a verdict and its evidence."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ from handcal.search.multistart import Found, advantage, astray, search
 from handcal.search.space import best_set, gains, space
 from handcal.types import BoolArray, HandcalError, InputError, Prior, Recording
 
-# Called with the share that is done, and what is being done.
+# Called with the share that is done, and the present stage.
 Progress = Callable[[float, str], None]
-# Nats by which a fit from the start may do worse than that at the end of a search: as good, and
-# no fit of the same model at all.
+# Nats that the final fit may lose against the end of the search: to count as equal, and at the most
+# to count as a fit of the same model.
 SAME, LOST = 1.0, 100.0
 
 SEARCHING = "searching what is missing"
@@ -75,14 +75,13 @@ def explain(
     before: Prior | None = None,
     progress: Progress | None = None,
 ) -> Explanation:
-    """Say which physics the baseline lacks to explain these recordings of one device.
+    """Find the physics that the baseline lacks to explain these recordings of one device.
 
-    held_out: other recordings of the same device, for scoring alone; without any, later
-    blocks are predicted from earlier ones. budget: seconds after which nothing further is tried
-    (s; None: until all has been); stop: asked again and again whether to end likewise, with the
-    best model so far. before: what is known of the device: its biases in the search,
-    its effects in the final fit. Other options as in ``calibrate``. Raises InputError for wrong
-    use, HandcalError where no result could be made.
+    held_out: other recordings of the same device, for scoring only; without any, later blocks are
+    predicted from earlier ones. budget: time after which nothing further is tried, s (None: no
+    limit). stop: polled; if true, the search ends with the best model so far. before: prior of the
+    device: of its biases in the search, of its effects in the final fit. Other options as in
+    ``calibrate``. Raises InputError for wrong use, HandcalError if no fit converges.
     """
     began, report = time.monotonic(), progress or (lambda _, __: None)
     _check(recordings, held_out, assume, heading_sigma, ignore)
@@ -92,7 +91,7 @@ def explain(
     report(0.03, "fitting the baseline")
     base = dense(begun(cases))
     time_left = after(began, budget, stop)
-    # (about a baseline without a fit, sums overflow)
+    # (about a diverged baseline, sums overflow)
     overflow: Literal["ignore"] | None = None if math.isfinite(base.log_evidence) else "ignore"
     with np.errstate(over=overflow, invalid=overflow):
         end = _searched(base, time_left, _so_far(report, SEARCHING, base, 0.1, 0.6))
@@ -130,18 +129,18 @@ def _check(
 def _finished(
     end: End, options: Options, budget: Budget, report: Progress
 ) -> tuple[End, Specification | None]:
-    """The end with the final fit of its model, and as that is written down; the search once more
-    where the fit comes to what no device has."""
+    """The end of the search with the final fit of its model, and the specification of that fit. If
+    the fit comes to implausible sizes, the search is repeated without those effects."""
     found, chosen = _refitted(end, end.found, options)
     large = too_large(found.model)
     if large and not budget.spent("a search without what came out too large"):
-        # (the search did not come so far)
+        # (the search's own fits had plausible sizes)
         told = _so_far(report, "searching again", end.base, 0.75, 0.05)
         base = dense(plain(end.base), large) if large & set(end.base.ids) else end.base
         other = search(base, told, large, budget)
         again, written = _refitted(replace(end, base=base), other, options)
         if sensible(again.model):
-            # (searched with all readings)
+            # (this search used all readings, so that there are no outliers)
             found, chosen = replace(again, alone=end.found.alone), written
             end = replace(end, base=base, wrong=None)
     return replace(end, found=found), chosen
@@ -150,7 +149,7 @@ def _finished(
 def _counted(
     end: End, chosen: Specification | None, options: Options
 ) -> tuple[End, Specification | None]:
-    """The end without the laws that do not count: a model holds nothing that is not said of it."""
+    """The end without negligible laws, fitted again: the model holds only what is reported."""
     left = uncounted(end)
     if not left:
         return end, chosen
@@ -164,9 +163,8 @@ def _counted(
 
 
 def _told(found: Found) -> Model:
-    """The model of what was found alone, without common effects that the recordings do not show:
-    what evidence, residuals and unseen data are compared by. The model of all where it has no fit.
-    """
+    """The model without common effects that the recordings do not show. Evidence, residuals and
+    unseen data are reported for it. The full model, if the reduced one fits much worse."""
     model = found.model
     names = names_of(found.space, model)
     wanted = [e for e in model.effects if e.always or e.id in names]
@@ -179,7 +177,7 @@ def _told(found: Found) -> Model:
 def _predicted(
     end: End, told: Model, others: Sequence[Case]
 ) -> tuple[HeldOut, importance.Judged | None]:
-    """How well what was not seen is predicted: other recordings, or else later blocks."""
+    """How well unseen data are predicted: other recordings, or else later blocks."""
     if not others:
         return held.later_blocks(end.base.bare, told), importance.by_later_blocks(end.found)
     scores, after = held.other_files(others, told)
@@ -197,9 +195,10 @@ def _case(recording: Recording, assume: str, options: Options) -> Case:
 def _by_the_rests(
     cases: Sequence[Case], end: End, options: Options, budget: Budget, report: Progress
 ) -> End:
-    """The end of a search by the rests alone, where a hand seems to travel and they know better.
+    """The end of a search from the rests alone, if the hand seems to travel and the rests
+    contradict a held point; else the same end.
 
-    (Only after the search: errors of the sensors look like a travelling hand too.)
+    (Only after the search, since sensor errors look like a travelling hand.)
     """
     far = [travels(f) for f in _as_held(end.found.model).parts]
     if not any(far) or budget.spent("a hand that travels between rests"):
@@ -223,15 +222,15 @@ def _by_the_rests(
 
 
 def _as_held(model: Model) -> Model:
-    """The model without noise of the accelerometer that goes with the motion: as large as need be,
-    it takes on whatever a hand does that travels."""
+    """The model without motion-dependent noise of the accelerometer, which would absorb the travel
+    of a hand."""
     kept = [e for e in model.effects if not (is_with_motion(e.id) and e.walks == "accel")]
     return model if len(kept) == len(model.effects) else fitted(model.parts, kept)
 
 
 def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specification | None]:
-    """The model that a search ended with, fitted from where any other would be, as
-    ``calibrate`` does; and as it is written down: None where no fit from there is any good."""
+    """The model of a search, fitted again from a reproducible start as ``calibrate`` does, and its
+    specification. None, with the search's own fit, if every such start ends far below it."""
     searched, base = found.model.bare, end.base
     found = replace(found, model=searched)
     chosen = chosen_of(searched, options, moments(found))
@@ -243,7 +242,7 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
     exact = chosen_of(searched, options, moments(found), exact=True)
     ways = replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact
     ends = []
-    # (each start takes as long as the first, and is seldom the better one)
+    # (the first start that is as good ends the loop, since later ones are seldom better)
     calls = (partial(_settled, base, written) for written in ways)
     for model, written in zip(in_parallel(calls), ways, strict=False):
         ends.append((model, written))
@@ -256,12 +255,12 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
 
 
 def _settled(base: Model, written: Specification) -> Model:
-    """Of a fit what a copy of the process has to send."""
+    """The fit of a specification, without linearisations, to be sent between processes."""
     return settled(base, written).bare
 
 
 def _as_good(model: Model, searched: Model) -> bool:
-    """Whether a fit from the start comes to what the search had."""
+    """Whether a repeated fit is as good as the search's."""
     same = model.log_evidence > searched.log_evidence - SAME
     return same and sensible(model) and model.one_sided
 
@@ -274,7 +273,7 @@ def _with(found: Found, model: Model) -> Found:
 
 
 def _so_far(report: Progress, stage: str, base: Model, start: float, share: float) -> Report:
-    """What tells how far a search has come, and what it has found by now."""
+    """A report of the progress of a search, and of the effects found so far."""
     have = set(base.ids)
 
     def told(f: float, model: Model) -> None:
@@ -285,8 +284,8 @@ def _so_far(report: Progress, stage: str, base: Model, start: float, share: floa
 
 
 def _searched(base: Model, budget: Budget, report: Report) -> End:
-    """Where the search from this baseline ends."""
-    # (about no fit at all any reading stands out)
+    """The end of the search from this baseline, with outliers and moving hands on trial."""
+    # (about a diverged fit any reading looks like an outlier)
     told = not astray(base)
     cleaned, wrong = outliers.cleaned(base) if told else (base, None)
     base, cleaned = base.bare, cleaned.bare
@@ -300,8 +299,7 @@ def _searched(base: Model, budget: Budget, report: Report) -> End:
         elif any(e.held for e in found.model.effects):
             again = _promises(whole, found.model)
     if wrong is not None and again:
-        # what comes one after the other may be a heading that errs by a known effect, and a step
-        # has its moment from the very readings that were left out
+        # (a burst may be a known heading error, and outliers may be the readings after a step)
         other = search(base, report, budget=budget)
         if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
             found, wrong = other, None
@@ -316,8 +314,11 @@ def _searched(base: Model, budget: Budget, report: Report) -> End:
 
 
 def _promises(whole: Model, model: Model) -> bool:
-    """Whether a scan about the fit with all readings, steps at other moments among its candidates,
-    promises as much as the model has without some of them."""
+    """Whether a scan about the fit to all readings, with steps at other moments, could gain what
+    the removal of outliers gains.
+
+    whole: fit to all readings. model: fit without outliers.
+    """
     if not math.isfinite(whole.log_evidence):
         return True
     about = scanned_about(whole.bare, (), frozenset())
@@ -328,8 +329,11 @@ def _promises(whole: Model, model: Model) -> bool:
 
 @dataclass
 class _Hand:
-    """A hand that moves in the place of what was found about a baseline. clean: whether no reading
-    was taken out before the search. last: the last end for which that was asked, and the answer."""
+    """The test of a moving hand against the end of a search.
+
+    clean: whether no outliers were removed before the search. last: the last end tested, and the
+    result.
+    """
 
     base: Model
     clean: bool
@@ -337,34 +341,34 @@ class _Hand:
     last: tuple[Found, tuple[Model, float] | None] | None = None
 
     def moves(self, found: Found) -> bool:
-        """Whether such a hand explains as much as a climb from the baseline found, no heading being
-        wrong: then the search begins anew from there, wherever other climbs would lead."""
+        """Whether a moving hand explains as much as the end of a climb, without outliers. Then the
+        search restarts with it, and further climbs are useless."""
         if not self.clean or outliers.standing_out(self.base) or self.budget.spent(_MOVES):
             return False
         return self.other(found) is not None
 
     def other(self, found: Found) -> tuple[Model, float] | None:
-        """See ``moving``."""
+        """The baseline with a moving hand and its advantage, nats, or None; see ``moving``."""
         if self.last is None or self.last[0] is not found:
             self.last = found, moving(self.base, found.model, _gained(found))
         return self.last[1]
 
 
 def _gained(found: Found) -> dict[str, float]:
-    """Nats that each effect of the model gains."""
+    """Gain of each effect, noise included, nats."""
     return gains(found.space, found.model.chosen) | found.noise
 
 
 def _fits_without(found: Found, masks: Sequence[BoolArray | None], cases: Sequence[Case]) -> bool:
-    """Whether the model that was found is likelier without these headings, fitted from where it is
-    or from the start. (Only then is another one looked for that may have been hidden by them.)"""
+    """Whether the model gains from removal of these headings by more than their odds, fitted from
+    its present state or from the online filter."""
     model = found.model
     enough = model.log_evidence - PRIOR
     if fitted(outliers.without(model, masks), model.effects).log_evidence > enough:
         return True
     try:
         begin = [started(c, model.effects) for c in cases]
-    except HandcalError:  # (with all of these the online filter diverges)
+    except HandcalError:  # (the online filter diverges with these effects)
         return False
     return fitted(begin, model.effects, noise_rounds=2).log_evidence > enough
 
@@ -372,12 +376,12 @@ def _fits_without(found: Found, masks: Sequence[BoolArray | None], cases: Sequen
 def _without_outliers(
     start: Model, about: Model, found: Found, budget: Budget, report: Report
 ) -> tuple[Found, outliers.Wrong | None]:
-    """The search from the start once more without headings that stand out from their neighbours
-    about a model: physics that is missing may have hidden that they are wrong."""
+    """The search repeated without headings that stand out from their neighbours about a model, if
+    that raises the score. (Missing physics may have hidden these outliers before.)"""
     masks = outliers.standing_out(about)
     if masks is None or budget.spent("single readings that are wrong"):
         return found, None
-    # (from the start again: they may have led the first trajectory astray)
+    # (from the online filter again, since outliers may have distorted the first trajectory)
     cases = [f.case for f in outliers.without(start, masks)]
     if not _fits_without(found, masks, cases):
         return found, None

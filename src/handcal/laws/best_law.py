@@ -1,5 +1,4 @@
-"""The best of all laws without a name: every look beside a model, and the law or course
-that gains most."""
+"""The best law or course without a name beside a model, from scans of all of them."""
 
 from __future__ import annotations
 
@@ -39,25 +38,25 @@ from handcal.laws.weighing import beside, gains, weighed, wide_root
 from handcal.model_score import TERM_PRIOR
 from handcal.types import IntArray
 
-# Columns that a scan looks at together at the most and at the least, and numbers that all of them
-# may take, some thirty for each epoch: 150 MB.
+# Largest and smallest count of columns in one scan, and count of numbers that they may take
+# (150 MB), with some thirty numbers per epoch and column.
 MOST_COLUMNS, LEAST_COLUMNS = 140, 30
 NUMBERS, PER_EPOCH = 2e7, 30.0
-# Drivers that are looked at more closely, of the best.
+# The best drivers, of which formulas are tried.
 CLOSER = 3
-# Nats that something without a name has to gain at a scan.
+# Gain of a law in a scan from which it is considered, nats.
 ENOUGH = math.log(2.0) - TERM_PRIOR
-# Nats to which a scan is right.
+# Accuracy of a gain in a scan, nats: closer laws are not told apart.
 UNTOLD = 3.0
 
-# What ``best_terms`` is asked: beyond, without.
+# Arguments of ``best_terms`` by which results are kept: beyond, without.
 Asked = tuple[tuple[str, ...], frozenset[str]]
 
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """Something without a name, and the nats that it gains at the likelihood's full worth;
-    others: the same law in other forms, which a scan likes less."""
+    """A law or course without a name, and its gain at the full likelihood, nats; others:
+    alternatives to it that gain less in a scan, other forms or drivers."""
 
     effect: Effect
     gain: float
@@ -66,10 +65,13 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
-    vocabulary, looks (under "" and each sensor), and what their scans showed. first: which drivers
-    are looked at. worth: what evidence counts for (None: as the scans have it, about this model).
-    found: what was found, by what was asked."""
+    """All scans of laws about a model, filled on demand.
+
+    base: the model's ``grounds``. signals: of its first recording. scanned: scans and their
+    quadratics, under "" (the usual vocabulary) and each sensor. first: ranking of the drivers.
+    worth: power of the likelihood (None: the median of the scans). found: results of ``best_terms``
+    by its arguments.
+    """
 
     model: Model
     base: Sequence[Ground]
@@ -81,14 +83,14 @@ class Survey:
     found: dict[Asked, tuple[About, list[Term]]] = field(default_factory=dict)
 
     def of(self, beyond: Collection[str], known: Sequence[Effect]) -> list[tuple[Look, Quadratic]]:
-        """Looks and their scans, of the usual vocabulary and of these sensors' further one; known:
-        effects beside which laws are looked for."""
+        """Scans and their quadratics, of the usual vocabulary and the further ones of the sensors
+        in ``beyond``; known: effects beside which laws are evaluated."""
         for name in (USUAL, *beyond):
             self._scan(name, known)
         return [pair for name in (USUAL, *beyond) for pair in self.scanned[name]]
 
     def _scan(self, name: str, known: Sequence[Effect]) -> None:
-        """Look through a vocabulary, as far as that has not been done."""
+        """Scan the laws of a vocabulary that have not been scanned yet."""
         f = self.model.parts[0]
         looks = [] if name in self.scanned else list(_others(f, name))
         done = self.scanned.setdefault(name, [])
@@ -102,7 +104,7 @@ class Survey:
         done += _scans(self.model, looks, self.base, self.worth)
 
     def _blocks(self, name: str, known: Sequence[Effect]) -> Iterator[Block]:
-        """Laws over the drivers that promise most."""
+        """Laws over the drivers that rank highest."""
         for words in vocabularies(name, self.signals):
             for sensor in [SENSORS.index(name)] if name else range(HEADING):
                 asked = sensor, known, self.signals, self.vocabulary
@@ -113,9 +115,11 @@ class Survey:
 def survey(
     model: Model, vocabulary: Vocabulary | None = None, worth: float | None = None
 ) -> Survey:
-    """Of this model, with nothing looked at yet; vocabulary: courses of the same recordings, made
-    about another model, and those that will be made; worth: what evidence counts for, if that is
-    known."""
+    """An empty survey of a model.
+
+    vocabulary: courses of the same recordings that other surveys computed; it is added to. worth:
+    power of the likelihood, if known.
+    """
     made, base = Vocabulary() if vocabulary is None else vocabulary, grounds(model)
     return Survey(model, base, signals_of(model.parts[0]), made, {}, first_look(model, base), worth)
 
@@ -128,7 +132,7 @@ def _scans(
 
 
 def best_term(where: Survey, *, refused: Collection[str] = ()) -> Term | None:
-    """What gains most over the model, if it gains enough: the best of ``best_terms``."""
+    """The term with the highest gain over the model; None if none gains enough."""
     found = best_terms(where, refused=refused)
     return max(found, key=lambda t: t.gain, default=None)
 
@@ -140,21 +144,21 @@ def best_terms(
     without: Collection[str] = (),
     beyond: Collection[str] = (),
 ) -> list[Term]:
-    """What gains most over the model of all, and of each sensor in beyond, if it gains enough: a
-    law over a driver, or a course over time or direction.
+    """The terms (laws over drivers, courses over time or direction) with the highest gain over the
+    model, overall and for each sensor in ``beyond``, among those that gain enough.
 
-    refused: formulas with which no fit holds; without: effects of the model, none of them noise, in
-    whose place it is looked for; beyond: "gyro", "accel" or "heading", for which the whole
-    vocabulary is looked through."""
+    refused: formulas to leave out. without: effects of the model, none of them noise, to be
+    replaced by a term. beyond: "gyro", "accel" or "heading", whose whole vocabulary is scanned.
+    """
     asked = tuple(beyond), frozenset(without)
-    # (of what was found on trial one after the other is asked for, and refused)
+    # (kept, since a search asks again with more formulas refused)
     if asked not in where.found:
         where.found[asked] = _found(where, *asked)
     about_, found = where.found[asked]
     found = [t for t in found if t.effect.id not in refused]
     own = [[t for t in found if t.effect.id.startswith(sensor)] for sensor in beyond]
     best = dict.fromkeys([*found[:1], *(t for some in own for t in _first_ones(some))])
-    # (on the grid of seconds on which it was found, a course may be hundreds of nats off)
+    # (a scan finds courses on a grid of seconds, which may cost hundreds of nats)
     near = [_nearer(about_, _with_rivals(t, found)) for t in best]
     return [t for t in near if t.effect.id not in refused]
 
@@ -162,10 +166,10 @@ def best_terms(
 def _found(
     where: Survey, beyond: Collection[str], without: Collection[str]
 ) -> tuple[About, list[Term]]:
-    """All that ``best_terms`` may choose from, the best first, and about what it was found."""
+    """All terms that ``best_terms`` may choose from, best first, and where they were evaluated."""
     known = [e for e in where.model.effects if e.process is None and e.id not in without]
     pairs = where.of(beyond, known)
-    # (what is absent scatters differently from scan to scan: one worth for all)
+    # (the measured worth differs from scan to scan: one for all keeps gains comparable)
     worth = float(np.median([q.worth for _, q in pairs]))
     ends = [
         end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > ENOUGH
@@ -181,9 +185,11 @@ def _found(
 def _nameless(
     about_: About, ends: Sequence[tuple[Effect, float]], quick: Callable[[int], Weighing]
 ) -> list[Term]:
-    """Courses, and terms and curves of the heading, with what they gain. With the curve that gains
-    most, the formulas that it may have; with the course, those of other families on its channel (a
-    scan sees all of them through a grid of seconds, on which a saw is nearly a wave)."""
+    """Courses, and terms and curves of the heading, with their gains.
+
+    The best curve is joined by its formulas, the best course by courses of other families on its
+    channel: on a scan's grid of seconds a sawtooth is nearly a sine.
+    """
     ends = sorted(ends, key=lambda end: -end[1])
     several = []
     driven = ((end, driver) for end in ends if (driver := _driver_of(end[0])) is not None)
@@ -201,14 +207,14 @@ def _nameless(
 
 
 def _first_ones(found: Sequence[Term]) -> list[Term]:
-    """The best of these, and the best that is no composition: of thousands, one may gain more in a
-    scan by chance."""
+    """The best term, and the best that is no composition: among thousands of compositions the
+    highest gain may be chance."""
     plain = [t for t in found if not is_composed(t.effect)]
     return list(dict.fromkeys([*found[:1], *plain[:1]]))
 
 
 def is_composed(effect: Effect) -> bool:
-    """Whether this is a law over a driver that is made of several signals and an operator."""
+    """Whether this is a law over a composition of several signals and an operator."""
     law = law_of(effect)
     return law is not None and law.driver.composed
 
@@ -219,7 +225,7 @@ def _nearer(about_: About, term: Term) -> Term:
 
 
 def _with_rivals(term: Term, found: Sequence[Term]) -> Term:
-    """A law with those on the same channel, of other drivers, that a scan cannot tell from it."""
+    """A term with its alternatives on the same channel whose gains are within ``UNTOLD``."""
     near = [
         t for t in found if t is not term and channel_of(t.effect.id) == channel_of(term.effect.id)
     ]
@@ -234,7 +240,7 @@ def _first_of(about_: About, ends: Sequence[tuple[Effect, float]]) -> Term:
 
 
 def _driver_of(effect: Effect) -> Driver | None:
-    """What drives a curve of the heading of which there may be a formula."""
+    """The driver of a curve of the heading that a formula may replace; None for other effects."""
     kind = "" if effect.made is None else effect.made[0]
     return CURVED.get(kind.removeprefix(terms.CURVE)) if kind.startswith(terms.CURVE) else None
 
@@ -242,7 +248,7 @@ def _driver_of(effect: Effect) -> Driver | None:
 def _as_told(
     about_: About, law: Law, gain: float, quick: Callable[[int], Weighing]
 ) -> list[tuple[Law, float]]:
-    """The formulas that the law may have, where it is a curve, and itself, with what they gain."""
+    """The law, with its driver's number tuned, and its formulas if it is a curve, with gains."""
     if law.driver.number:
         law, gain = tuned(about_, law, gain)
         gain -= law.cost
@@ -255,15 +261,16 @@ End = tuple[Law | Effect, float]
 
 @dataclass(frozen=True)
 class Look:
-    """What one scan looks at, and the best that it may show, beside the known effects."""
+    """The effects of one scan, and a function that finds the best of them in its quadratic, beside
+    the known effects."""
 
     effects: Sequence[Effect]
     best: Callable[[Quadratic, Sequence[Effect]], list[End]]
 
 
 def _others(f: Fitted, beyond: str) -> Iterator[Look]:
-    """Scans but for those of laws over drivers: courses over time, and those of a heading; none
-    beyond the usual vocabulary."""
+    """Scans other than of laws over drivers: courses over time, and errors of a heading. They
+    belong to the usual vocabulary only."""
     recording = f.case.recording
     if beyond:
         return
@@ -272,7 +279,7 @@ def _others(f: Fitted, beyond: str) -> Iterator[Look]:
         yield Look([b.effect for b in spans], partial(_courses, spans))
     if "heading" in f.case.kinds:
         options = [[e] for e in terms.heading_terms(recording)] + terms.heading_curves()
-        # (each as something to look at: what the model has of it is another matter)
+        # (under ids of their own, since the model may have some of them)
         looked = [replace(some[0], id=f"basis: {n}") for n, some in enumerate(options)]
         yield Look(looked, partial(_headings, looked, options))
         bases = shapes.heading_bases(recording.duration_s)
@@ -289,9 +296,11 @@ def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list
 
 
 def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, float]]:
-    """The best laws, each of another driver; of all, and of each sensor in beyond. The best curve
-    is one of them: as a formula it gains more, since a curve pays for what it might have been. And
-    so is the best that is no composition."""
+    """The best laws over different drivers, overall and for each sensor in ``beyond``.
+
+    They include the best curve, since its formula gains more (a curve pays for its freedom), and
+    the best law that is no composition.
+    """
     best: dict[tuple[int, str], tuple[Law, float]] = {}
     for law, gain in sorted(ends, key=lambda e: -e[1]):
         if isinstance(law, Law):
@@ -323,7 +332,7 @@ def _headings(
     q: Quadratic,
     known: Sequence[Effect],
 ) -> list[End]:
-    """Terms and curves of the heading that are not there, and what each gains."""
+    """Terms and curves of the heading that the model lacks, with their gains."""
     seen = beside(q, known, looked)
     here = {e.id for e in known}
     out: list[End] = []

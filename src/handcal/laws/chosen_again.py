@@ -1,4 +1,4 @@
-"""A law or course without a name chosen again, when more is known than when it was found."""
+"""Second choice of a law or course, about a model that explains more than the first one did."""
 
 from __future__ import annotations
 
@@ -12,21 +12,23 @@ from handcal.laws.best_law import Survey, Term, best_terms, is_composed
 from handcal.laws.law_effect import SENSORS, channel_of, law_of
 from handcal.model_score import better, of_use, score
 
-# Of what a law gains, the share that terms of second order leave open: a formula that costs more
-# than the one there is has to gain more than that.
+# Relative error of a law's gain from second-order terms. A formula with more parameters has to gain
+# more than this beyond the present one.
 OPEN = 1e-3
 
 
 def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str]) -> Model | None:
-    """The model with a law or course that fits better than the one it has, which was chosen when
-    less was known; ``unnamed`` is changed with it."""
+    """The model with a better law or course in place of one it has; None if there is none.
+
+    unnamed: terms of the model; the replaced one is updated. shaped: ids already tried; added to.
+    """
     model = where.model
     for i, term in enumerate(unnamed):
         old = term.effect
         if old.id not in model.ids or old.id in shaped:
             continue
         shaped.add(old.id)
-        # (a course may be what depends on the past of something: that is further on)
+        # (a course may be a law over the past of a signal, in the further vocabulary)
         beyond = [sensor for sensor in SENSORS if old.id.startswith(sensor)]
         found = best_terms(where, without={old.id}, beyond=beyond)
         if not found:
@@ -47,7 +49,7 @@ def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str])
         best, effect = max(held, key=lambda pair: score(pair[0], worth))
         unnamed[i] = Term(effect, new.gain)
         if _kind(effect) == _kind(old):
-            shaped.add(effect.id)  # (its numbers are as good as they get)
+            shaped.add(effect.id)  # (only the numbers changed, so another round is useless)
         return best
     return None
 
@@ -60,14 +62,14 @@ def _cost(effect: Effect) -> float:
 def with_other(
     model: Model, old: Effect, new: Effect, than: Model | None = None, worth: float = 1.0
 ) -> Model:
-    """The model fitted with one effect in the place of another; than: a model that it should be
-    likelier than, at this worth of evidence."""
+    """The model fitted with ``new`` in place of ``old``; than: a model to exceed, at this worth
+    of evidence, or the fit may stop early."""
     wanted = [new if e is old else e for e in model.effects]
     return fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))
 
 
 def _kind(effect: Effect) -> tuple[str, ...]:
-    """What something without a name is, but for its numbers."""
+    """The kind of a term, without its numbers."""
     law = law_of(effect)
     if law is not None:
         return channel_of(effect.id), law.driver.kind, law.form.kind

@@ -1,9 +1,8 @@
-"""Over which drivers laws are looked for: those that promise most by what errors in short windows
-of time would do.
+"""First ranking of the drivers over which laws are searched, by constants in short time windows.
 
 One scan of a constant in each window shows the law over any driver, as its means in the windows.
-Of a long recording that is done in the first part: what a law does to a recording it does to a
-fourth of its turning too.
+In a long recording only the first part is scanned, since a law shows in a fourth of the turning
+too.
 """
 
 from __future__ import annotations
@@ -38,26 +37,28 @@ from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside
 from handcal.types import Array, IntArray
 
-# Constants of the laws over one kind of course that are handed on, at the most (a scan's work goes
-# as these), and laws that differ in times and widths alone.
+# At the most, of one kind of course: constants of the laws that go on to a scan, whose work grows
+# with them, and laws that differ in times and widths only.
 LIKELIEST, OF_A_KIND = 30, 2
-# Vocabularies: the usual one of an IMU, and what is made of several signals, of an IMU and of a
-# heading. Further drivers are each sensor's own and have its name.
+# Vocabularies: the usual one of an IMU, and compositions of several signals, for an IMU and for a
+# heading. Each sensor has a vocabulary of further drivers, under its name.
 USUAL, COMPOSED, HEADINGS = "", "composed", "composed heading"
 
 
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
-    """Courses of the drivers of each vocabulary, in each recording's windows, as far as they were
-    asked for."""
+    """Courses of the drivers of each vocabulary in each recording's windows, filled on demand."""
 
     courses: dict[tuple[str, int, bytes], list[Courses]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class FirstLook:
-    """Recordings one by one about a model, as a whole or in their first parts; share: of
-    all readings that are in these; scanned: windows of each and of each sensor."""
+    """Recordings about a model, each on its own, whole or the first part only.
+
+    share: of all scalar observations that are in these parts. scanned: quadratics of the windows,
+    by recording and sensor, filled on demand.
+    """
 
     parts: Sequence[tuple[Model, Ground]]
     windows: Sequence[Windows]
@@ -67,8 +68,9 @@ class FirstLook:
     def likeliest(
         self, name: str, sensor: int, known: Sequence[Effect], signals: Signals, made: Vocabulary
     ) -> list[Driver]:
-        """Drivers of a sensor in a vocabulary over which a law gains most beside these effects, of
-        each kind of course; and what is slow, of which a first part does not show all."""
+        """Drivers of a sensor in a vocabulary over which a law gains most beside ``known``, of each
+        kind of course. Slow drivers are added if only a first part was scanned, since it may not
+        show them."""
         gain: dict[str, float] = {}
         by_kind: dict[tuple[int, bool], dict[str, tuple[Driver, int]]] = {}
         for of, windows in enumerate(self.windows):
@@ -90,12 +92,12 @@ class FirstLook:
         return out
 
     def _courses(self, drivers: Sequence[Driver], sensor: int, of: int) -> list[Courses]:
-        """Of one of the recordings."""
+        """Courses of the drivers in one of the recordings."""
         motion, windows = motion_of(self.parts[of][1].excited), self.windows[of]
         return courses_of(drivers, motion, sensor, len(windows.phase), windows.of)
 
     def _gains(self, of: int, sensor: int, known: Sequence[Effect], courses: Courses) -> Array:
-        """Nats that a law over each driver gains in one of the recordings."""
+        """Gain (d,) of a law over each driver in one of the recordings, nats."""
         seen = self._seen(of, sensor, known)
         return gains_of(courses, seen, list(seen.at.values()))
 
@@ -110,8 +112,10 @@ class FirstLook:
     def weighing(
         self, sensor: int, known: Sequence[Effect], signals: Signals, worth: float
     ) -> InWindows:
-        """Where laws of a sensor may be weighed beside these effects, by the windows alone; worth:
-        what evidence counts for. (A first part stands for the whole.)"""
+        """Evaluation of laws of a sensor beside these effects, from the windows alone.
+
+        worth: power of the likelihood; a first part is scaled up to the whole.
+        """
         of = range(len(self.parts))
         seen = [self._seen(n, sensor, known) for n in of]
         motions = [motion_of(self.parts[n][1].excited) for n in of]
@@ -121,8 +125,8 @@ class FirstLook:
 
 @dataclass(frozen=True, eq=False)
 class InWindows:
-    """Windows of each recording as they are beside what is known, with the signals there and the
-    window of each sample; worth: what their evidence counts for."""
+    """Laws of a sensor evaluated from windows: of each recording the windows beside the known
+    effects, its signals, and the window of each sample; worth: power of the likelihood."""
 
     signals: Signals
     sensor: int
@@ -130,7 +134,7 @@ class InWindows:
     worth: float
 
     def seen(self, absent: Sequence[Effect]) -> Beside:
-        """What the windows say of effects that act on this sensor alone."""
+        """The quadratic of effects that act on this sensor only, from the windows."""
         many = [len(e.parameters) for e in absent]
         b, G = np.zeros(sum(many)), np.zeros((sum(many), sum(many)))
         for windows, (signals, place) in self.parts:
@@ -144,7 +148,7 @@ class InWindows:
 
 
 def first_look(model: Model, base: Sequence[Ground]) -> FirstLook:
-    """About this model and its ``grounds``."""
+    """The first look about a model; base: its ``grounds``."""
     part = first_part(model)
     about, here = (model, base) if part is None else (part, grounds(part))
     each = [(replace(about, parts=(f,)), own) for f, own in zip(about.parts, here, strict=True)]
@@ -153,8 +157,8 @@ def first_look(model: Model, base: Sequence[Ground]) -> FirstLook:
 
 
 def vocabularies(name: str, signals: Signals) -> list[str]:
-    """The usual vocabulary, or a sensor's further one, with what is composed of several signals
-    where that is not too much."""
+    """The usual vocabulary (""), or a sensor's further one, with compositions of several signals
+    if the recording is short enough."""
     if not name or not fits_in(signals):
         return [name]
     return [name, HEADINGS if name == SENSORS[HEADING] else COMPOSED]
@@ -169,7 +173,7 @@ def _drivers(name: str, signals: Signals) -> Iterable[Driver]:
 
 
 def _first_of(drivers: Iterable[tuple[Driver, int]]) -> list[Driver]:
-    """The first of these, with their counts of constants, for which there is room."""
+    """The first of these drivers, each with its count of constants, that fit in ``LIKELIEST``."""
     out: list[Driver] = []
     kinds, room = dict[str, int](), LIKELIEST
     for driver, many in drivers:
@@ -181,5 +185,5 @@ def _first_of(drivers: Iterable[tuple[Driver, int]]) -> list[Driver]:
 
 
 def _slow(driver: Driver) -> bool:
-    """Whether a driver goes with time or warmth."""
+    """Whether a driver varies with time or temperature."""
     return driver.free or WARM in driver.name or driver.over == TIME.name

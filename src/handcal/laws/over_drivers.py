@@ -1,4 +1,4 @@
-"""Laws over drivers: all of them at once as curves, and the formulas that the best of them have."""
+"""Laws over drivers: curves over all drivers from one scan, and formulas for the best curves."""
 
 from __future__ import annotations
 
@@ -42,12 +42,11 @@ from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside, beside, gains
 from handcal.types import Array
 
-# Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
+# Refinement of a formula's numbers: relative changes, used in turn.
 FINER = (0.5, 0.2, 0.06)
-# Formulas of each kind that are looked at closely, of all on the grid.
+# Formulas of each kind on the grid whose numbers are refined.
 LIKELY = 4
-# Turns at each of these at the most (what is moved and narrowed in turn goes on as far as that
-# leads), and nats for which there is another.
+# Largest count of turns at each refinement, and gain after which another follows, nats.
 TURNS, NEARLY = 12, 0.5
 
 
@@ -69,8 +68,8 @@ class Block:
 
 
 def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
-    """All laws over a driver, of each of these sensors; none where it has no course, or what it
-    changes has none."""
+    """All laws over a driver, one block for each of these sensors. Empty if the driver, or the
+    signal whose effect it changes, does not vary."""
     x = np.stack([driver.course(signals, axis) for axis in range(3)])
     rms = float(np.sqrt(np.mean(x**2)))
     if rms < COURSELESS or np.ptp(x) < 1e-6 * rms:
@@ -81,7 +80,7 @@ def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block
         return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
     smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
     scale = float(np.sqrt(np.mean(np.square([driver.scale(signals, a) for a in range(3)]))))
-    # (a stick with another threshold may never let go)
+    # (the signal may be zero throughout, e.g. stick with a threshold that is never exceeded)
     if scale < COURSELESS:
         return []
     return [_block(n, driver, smooth, SIZE[n] / scale) for n in sensors]
@@ -90,14 +89,14 @@ def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block
 def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
     sigmas = (sigma,) * forms[0].constants
     law = Law(sensor, AXES_OF[sensor], True, driver, replace(forms[0], root=None), sigmas)
-    # (the same driver may be there with more knots)
+    # (the knots are part of the id, since a driver may be scanned with several counts)
     effect = replace(effect_of(law), id=f"basis: {sensor} {driver.knots} {driver.name}")
     return Block(sensor, driver, forms, sigmas, effect)
 
 
 def ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
-    """Axes, whether each has its own constants, and the quadratic of these: each axis alone, and
-    all by one law."""
+    """Ways to apply a law to axes: each axis alone, all axes with the same constants, and all with
+    their own. Yields the axes, whether each has its own constants, and b and G of these."""
     axes = AXES_OF[block.sensor]
     at = seen.at[block.effect.id].reshape(len(axes), -1)
     b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
@@ -110,10 +109,10 @@ def ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Ar
 
 
 def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
-    """The best law of each way, and what it gains."""
+    """The best law of each of the ``ways``, with its gain, nats."""
     one, roots = block.forms[0].constants, block.roots
     for axes, each, b, G in ways(block, seen):
-        # (a step that is lost is lost, not gained)
+        # (such a driver has no negative constants)
         lost = block.driver.positive == block.sensor
         if lost and (np.linalg.solve(np.eye(len(b)) + G, b) < 0.0).any():
             continue
@@ -127,25 +126,28 @@ def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
         form = block.forms[int(np.argmax(found))]
         law = Law(block.sensor, axes, each, block.driver, form, block.sigmas)
         if form.smooth or not named(law):
-            # (its width and size are not known: the mean over all)
+            # (marginal over the unknown width and size: the mean evidence)
             yield law, top + math.log(np.mean(np.exp(found - top)))
 
 
 class Weighing(Protocol):
-    """Where laws are weighed: with these signals, beside something."""
+    """A source of evidence for laws: a scan, or windows."""
 
     @property
     def signals(self) -> Signals: ...
 
     def seen(self, absent: Sequence[Effect]) -> Beside:
-        """What is known there of absent effects."""
+        """The quadratic of absent effects, beside the known ones."""
         ...
 
 
 @dataclass(frozen=True)
 class About:
-    """Where laws are weighed: about a model (``grounds`` for its scans), beside its known effects,
-    with the signals of its first recording, and what evidence is worth."""
+    """Evidence for laws from scans about a model.
+
+    grounds: of the model. known: effects beside which laws are evaluated. signals: of the first
+    recording. worth: power of the likelihood.
+    """
 
     model: Model
     grounds: Sequence[Ground]
@@ -154,15 +156,17 @@ class About:
     worth: float
 
     def seen(self, absent: Sequence[Effect]) -> Beside:
-        """What a scan says of absent effects."""
+        """The quadratic of absent effects from a scan."""
         q = scan(self.model, absent, self.grounds, self.worth)
         return beside(q, self.known, absent)
 
 
 def written_out(about_: Weighing, law: Law, quick: Weighing) -> list[tuple[Law, float]]:
-    """The law as the formulas that gain most over the model, and what they gain: of one function,
-    of two, and of two with the same numbers; with their numbers adjusted, as ``quick`` weighs
-    them."""
+    """The best formulas in place of a curve, with their gains: one function, a sum of two, and a
+    sum of two with the same numbers.
+
+    quick: cheaper source of evidence, by which functions are chosen and numbers refined.
+    """
     driver = law.driver
     x = np.stack([driver.course(about_.signals, axis) for axis in range(3)])
     ends = range_of(x, driver.signed)
@@ -174,7 +178,7 @@ def written_out(about_: Weighing, law: Law, quick: Weighing) -> list[tuple[Law, 
 
 
 def _adjusted(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
-    """The formula with the numbers near its own that gain most, and what it gains."""
+    """The formula with its numbers refined for the highest gain, and that gain."""
     for share in FINER if law.form.numbers else ():
         for _ in range(TURNS):
             parts = [near for part in law.form.parts for near in about(part, share)]
@@ -190,8 +194,8 @@ def _adjusted(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
 def _tried(
     about_: Weighing, law: Law, parts: Sequence[Part], most: int = 1
 ) -> list[tuple[Law, float]]:
-    """The best of these functions in the law's place, the best sum of two, and of two with the same
-    numbers, so many of each; what they gain."""
+    """The ``most`` best formulas of each kind from these functions, with their gains: one function,
+    a sum of two, and a sum of two with the same numbers."""
     forms = [formula([part]) for part in parts]
     sizes = np.array([rms_of(law, form, about_.signals) for form in forms])
     some = np.flatnonzero(sizes > 1e-9)
@@ -220,7 +224,7 @@ def _tried(
 
 
 def _plainly(law: Law) -> Law:
-    """The law as one over a product, where by how much a signal is felt goes as another one."""
+    """The law over a product of two signals, if it scales one signal in proportion to another."""
     factor = law.driver.factor
     if factor is None or law.driver.number or law.form.parts != (("line", ()),):
         return law
@@ -231,13 +235,13 @@ def _plainly(law: Law) -> Law:
 
 
 def is_product(driver: Driver) -> bool:
-    """Whether it is a product of signals."""
+    """Whether a driver is a product of signals."""
     return bool(_factors(driver))
 
 
 def of_one_signal(law: Law, signals: Signals) -> list[Law]:
-    """Laws in proportion to each signal alone of the product that a law is over. (One of them may
-    hardly change: then the law is the other's.)"""
+    """Laws in proportion to each single signal of a law over a product. (If one signal hardly
+    varies, the other alone may do.)"""
     out = []
     for name in _factors(law.driver):
         alone = driver_of(name)
@@ -249,7 +253,7 @@ def of_one_signal(law: Law, signals: Signals) -> list[Law]:
 
 
 def _factors(driver: Driver) -> list[str]:
-    """Names of the signals that a driver is the product of; none where it is no product."""
+    """Names of the signals in a product; empty if the driver is no product."""
     felt, _, left = driver.name.rpartition(BY)
     names = [felt] if felt else []
     while left:
@@ -259,8 +263,8 @@ def _factors(driver: Driver) -> list[str]:
 
 
 def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[int, ...]], bool]]:
-    """All of one of these, all of two that are different functions, and all of two with the same
-    numbers; each with whether it is that."""
+    """Sets of functions on trial: single ones, pairs of different functions, and pairs with the
+    same numbers. The flag is true for the last kind."""
     one: list[tuple[int, ...]] = [(n,) for n in some]
     two: list[tuple[int, ...]] = [
         (n, m) for n, m in combinations(some, 2) if parts[n][0] != parts[m][0]
@@ -270,7 +274,8 @@ def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[i
 
 
 def tuned(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
-    """The law with the time or half width of its driver that gains most, and what it gains."""
+    """The law with its driver's number (a time, a half width) tuned for the highest gain, and that
+    gain."""
     for shares in NEARER:
         at, number = law.driver.at, law.driver.number
         if at is None:
@@ -284,7 +289,7 @@ def tuned(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
 
 
 def rms_of(law: Law, form: Form, signals: Signals) -> float:
-    """Root mean square of what a unit of each constant of a form adds in a law's place."""
+    """RMS of the error per unit of each constant, with this form in the law."""
     values = [replace(law, form=form).values(signals, axis) for axis in law.axes]
     return float(np.sqrt(np.mean(np.square(values))))
 

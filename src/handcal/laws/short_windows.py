@@ -1,6 +1,8 @@
-"""What errors of a sensor in short windows of time would do to a fit: one scan of a constant in
-each window, beside which any course at all can be weighed, as the means that it has in them, for
-the price of a product with a matrix. (A scan of a thousand courses takes as long as this one.)"""
+"""Constant errors of a sensor in short time windows, scanned once about a fit.
+
+Any course over time can then be evaluated by its means in the windows, at the cost of one product
+with a matrix. (A scan of a thousand courses would take as long as this one.)
+"""
 
 from __future__ import annotations
 
@@ -25,24 +27,25 @@ from handcal.laws.weighing import Beside, gains
 from handcal.signals import some
 from handcal.types import Array, IntArray
 
-# How long a window is, s: as far apart as a held point is looked at; and windows at the most, with
-# the square of which the work grows.
+# Length of a window, s, the interval between observations of a held point; and the largest count
+# of windows, with the square of which the work grows.
 WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
-# Where more is observed in between, windows may be as short as this, s.
-FINEST = 0.1
-# Courses are worked out so many times a second: in a hand, hardly anything is faster.
+# Sampling rate of courses, Hz: a hand has hardly anything faster.
 RATE = 40.0
-# A signal that changes by less than this share of its size says of none how much it is felt.
+# Relative variation of a signal from which the effect of its size can be told from a constant.
 CHANGING = 0.3
-# Courses that are worked out and weighed at a time.
+# Courses that are computed and evaluated at a time.
 TOGETHER = 500
 
 
 @dataclass(frozen=True, eq=False)
 class Courses:
-    """Drivers of one kind of law, with what a unit of each constant of it adds on each axis, as
-    means in each window (d, a, c, K), in shares of a clearly visible error; roots (f, c, c): square
-    roots of the prior covariance of the constants, of each of its forms."""
+    """Courses of the drivers of one kind of law.
+
+    means (d, a, c, K): of driver d, the error on axis a per unit of constant c, averaged in window
+    K, in shares of a clearly visible error. roots (f, c, c): square roots of the prior covariance
+    of the constants, one for each form of the law.
+    """
 
     drivers: Sequence[Driver]
     means: Array
@@ -51,9 +54,11 @@ class Courses:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows that lie within epochs of a filter, or hold several whole ones. edges (K + 1,), s;
-    first (E,): the window that each epoch begins in; within: how many there are in an epoch at the
-    most; phase (K,): which of those in its epoch each is."""
+    """Windows, each within one epoch of the filter or covering several whole ones.
+
+    edges (K + 1,), s. first (E,): the window in which each epoch begins. within: largest count of
+    windows in an epoch. phase (K,): index of each window within its epoch.
+    """
 
     edges: Array
     first: IntArray
@@ -67,11 +72,10 @@ class Windows:
 
 
 def windows_about(about: Ground) -> Windows:
-    """Windows of the recording of which this is the ground."""
+    """Windows of a recording from its ground; longer than ``WINDOW`` in a long one."""
     t = about.linear.problem.nodes.t
     begin, end = t[about.windows[0]], t[about.windows[1]]
-    often = max(FINEST, min(float(np.median(end - begin)), WINDOW))
-    width = max(often, float(end[-1] - begin[0]) / MOST_WINDOWS)
+    width = max(WINDOW, float(end[-1] - begin[0]) / MOST_WINDOWS)
     edges, first, phase = [float(begin[0])], list[int](), list[int]()
     room = 0.0
     for a, b in zip(begin, end, strict=True):
@@ -90,7 +94,7 @@ def windows_about(about: Ground) -> Windows:
 
 def looked_at(model: Model, about: Ground, windows: Windows, sensor: int) -> Quadratic:
     """The quadratic of a model's effects and of a constant in each window on each axis of a sensor,
-    whose names are those of ``constants``."""
+    named as in ``constants``."""
     axes, count = AXES_OF[sensor], len(windows.phase)
     pattern = [_phases(sensor, axis, windows) for axis in axes]
     own = windows.first[:, None] + np.arange(windows.within)
@@ -102,8 +106,8 @@ def looked_at(model: Model, about: Ground, windows: Windows, sensor: int) -> Qua
 
 
 def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int) -> Array:
-    """What each parameter of an effect adds to a sensor's windows, (axes * count, k), in units of
-    its prior and of theirs. window (m,): of each sample."""
+    """Mean error (axes * count, k) in a sensor's windows for each parameter of an effect, both in
+    units of their priors. window (m,): window of each sample."""
     axes = AXES_OF[sensor]
     out = np.zeros((len(axes), count, len(e.parameters)))
     first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
@@ -123,7 +127,7 @@ def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int
 
 
 def _phases(sensor: int, axis: int, windows: Windows) -> Effect:
-    """An error of a channel that is another constant in each phase of an epoch."""
+    """An error of a channel with one constant for each phase of an epoch."""
 
     def columns(signals: Signals) -> Array:
         out = np.zeros((len(signals.t), windows.within))
@@ -134,17 +138,17 @@ def _phases(sensor: int, axis: int, windows: Windows) -> Effect:
 
 
 def fits_in(signals: Signals) -> bool:
-    """Whether there are not too many windows."""
+    """Whether a recording has ``MOST_WINDOWS`` or fewer."""
     return count_of(signals.t) <= MOST_WINDOWS
 
 
 def count_of(t: Array, width: float = WINDOW) -> int:
-    """How many windows of this width, s, there are in times t (n,)."""
+    """The count of windows of this width, s, in times t (n,), s."""
     return max(1, math.floor(float(t[-1] - t[0]) / width))
 
 
 def windows_of(t: Array, all_: Array, width: float = WINDOW) -> IntArray:
-    """The window of each of some times t (n,) of all."""
+    """The window of each time t (n,), s; all_: all times of the recording."""
     last = count_of(all_, width) - 1
     return np.asarray(np.minimum(((t - all_[0]) / width).astype(np.int64), last))
 
@@ -156,8 +160,11 @@ def courses_of(
     count: int,
     windows: Callable[[Array], IntArray],
 ) -> list[Courses]:
-    """Those of them that have a course, for a sensor (either IMU sensor alike), each kind of law
-    together, in so many windows; windows: which one a time t (n,) is in."""
+    """Courses of the drivers that vary in this recording, grouped by kind of law.
+
+    sensor: sets the number of axes, the same for both IMU sensors. count: of windows. windows: maps
+    times (n,) to their windows.
+    """
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
     window = windows(fewer.t)
@@ -172,7 +179,7 @@ def courses_of(
             if not (np.isfinite(x).all() and x.size):
                 out.append(None)
                 continue
-            # (of a window without a reading there is no mean, and nothing depends on it)
+            # (a window without a reading stays zero)
             means: Array = np.zeros((*x.shape[:2], count))
             means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / many
             out.append((means, roots))
@@ -191,8 +198,8 @@ def courses_of(
 
 
 def _columns(driver: Driver, signals: Signals, axes: int) -> tuple[Array, Array]:
-    """What a unit of each constant of a law over a driver adds on each axis (a, c, n), and the
-    roots of its forms; nothing where it has no course."""
+    """The error (a, c, n) on each axis per unit of each constant of a law over a driver, and the
+    roots of its forms. Both are empty if the driver does not vary."""
     x = np.stack([driver.course(signals, axis) for axis in range(axes)])
     nothing: Array = np.zeros((axes, 0, 0))
     if driver.knots == LINE:
@@ -214,7 +221,7 @@ def _rms(x: Array) -> float:
 
 
 def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effect:
-    """An error of a channel that is another constant in each of so many windows."""
+    """An error of a channel with one constant for each of ``count`` windows of this width, s."""
 
     def columns(signals: Signals) -> Array:
         out = np.zeros((len(signals.t), count))
@@ -225,7 +232,7 @@ def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effe
 
 
 def halves(sensor: int, axis: int, some: IntArray, width: float) -> Effect:
-    """An error of a channel that changes its sign in the middle of each of some windows (k,)."""
+    """An error of a channel that changes sign in the middle of each of these windows (k,)."""
 
     def columns(signals: Signals) -> Array:
         passed = (signals.t - signals.t[0]) / width
@@ -252,15 +259,15 @@ def _added(
 
 
 def gains_of(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
-    """Nats (d,) that a law over each driver gains, on an axis, on all of them alike, or on each its
-    own (beside which the others change little)."""
+    """Gain (d,) of a law over each driver, nats: the best of one axis alone, one law for all axes,
+    and a law of its own on each axis (sum over axes, as if independent)."""
     axes = range(of.means.shape[1])
     G = {(a, o): seen.G[np.ix_(at[a], at[o])] for a in axes for o in axes[a:]}
     out = []
     for first in range(0, len(of.means), TOGETHER):
         c = of.means[first : first + TOGETHER]
         b = [c[:, a] @ seen.b[at[a]] for a in axes]
-        # (all drivers as rows of one matrix: less is lost to many small products)
+        # (all drivers as rows of one matrix, which is faster than many small products)
         flat = [c[:, a].reshape(-1, c.shape[3]) for a in axes]
         felt = {
             (a, o): (flat[a] @ G[a, o]).reshape(c[:, a].shape) @ c[:, o].transpose(0, 2, 1)

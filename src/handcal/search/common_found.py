@@ -1,5 +1,5 @@
-"""Which common effects a recording shows. Every fit estimates them; one is found if the evidence
-falls without it by more than the odds of a name."""
+"""Common effects that a recording shows. Every fit estimates all of them; one is found if the
+evidence falls without it by more than the odds of a name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from handcal.model_score import PRIOR
 from handcal.search.space import Space, best_set
 from handcal.types import Parameter
 
-# Log odds of what stays in a set whatever else is chosen.
+# Log odds of an effect that is always in the set.
 STAYS = 1e6
 
 
@@ -26,9 +26,9 @@ STAYS = 1e6
 class Shown:
     """A common effect that is found.
 
-    gain: nats that the model loses without it; beside: common effects that have to be out as well
-    for the evidence to fall, since together they do what it does. rivals: log odds of effects in
-    its place, those of its own being 0. others: all effects of the set of fewest causes.
+    gain: nats lost without it. beside: common effects that imitate it, and have to be removed with
+    it for the evidence to fall. rivals: log odds of effects in its place, relative to its own.
+    others: the likeliest set of causes, it included.
     """
 
     gain: float
@@ -38,12 +38,11 @@ class Shown:
 
 
 def shown(where: Space, chosen: frozenset[str]) -> dict[str, Shown]:
-    """The common effects found among those of a model, by id. chosen: effects of the model.
+    """The common effects found among those of a model, by id. chosen: ids of the model's effects.
 
-    Of sets of common effects the likeliest says which are causes, each at the odds of a name. A
-    cause is found where the evidence falls without it, all other common effects present. Where
-    others do what it does, these are taken out with it, first what hides it best. What is found has
-    a parameter that stands out.
+    Causes are the likeliest set of common effects, each at the odds of a name. A cause is found if
+    the evidence falls without it, all other common effects present. If others imitate it, they are
+    removed with it, the best imitation first. At least one of its parameters must be significant.
     """
     common = [i for i in sorted(chosen) if where.effects[i].common]
     rest = chosen.difference(common)
@@ -59,7 +58,7 @@ def shown(where: Space, chosen: frozenset[str]) -> dict[str, Shown]:
 
 
 def parameters_in(where: Space, effect: Effect, ids: frozenset[str]) -> tuple[Parameter, ...]:
-    """Parameters of an effect in a model of these effects."""
+    """Estimates of an effect's parameters in a model of these effects."""
     effects = [where.effects[i] for i in sorted(ids)]
     index = np.concatenate([where.where[e.id] for e in effects])
     q = where.quadratic
@@ -74,13 +73,13 @@ def parameters_in(where: Space, effect: Effect, ids: frozenset[str]) -> tuple[Pa
 
 
 def stands_out(parameters: Iterable[Parameter]) -> bool:
-    """Whether the recording shows any of an effect's parameters. (Evidence may be shared by several
-    of which none stands out alone.)"""
+    """Whether any of an effect's parameters is significant. (An effect may gain evidence from
+    several parameters, none of them significant alone.)"""
     return any(p.shown for p in parameters)
 
 
 def names_of(where: Space, model: Model) -> frozenset[str]:
-    """Ids of what a model has beyond common effects that the recordings do not show."""
+    """Ids of a model's effects, without common ones that the recordings do not show."""
     rare = frozenset(e.id for e in model.effects if not e.common)
     return rare.union(shown(where, model.chosen))
 
@@ -92,7 +91,7 @@ def evidence(where: Space, ids: Iterable[str]) -> float:
 
 
 def _with_odds(where: Space, ids: frozenset[str], odds: Mapping[str, float]) -> Space:
-    """These effects of the space alone, at these odds."""
+    """The space of these effects only, at these odds."""
     effects = {i: e for i, e in where.effects.items() if i in ids}
     places = {i: where.where[i] for i in effects}
     return replace(where, effects=effects, prior=odds, where=places, scores={})
@@ -101,7 +100,7 @@ def _with_odds(where: Space, ids: frozenset[str], odds: Mapping[str, float]) -> 
 def _lost(
     where: Space, chosen: frozenset[str], effect: str, spare: list[str]
 ) -> tuple[float, tuple[str, ...]]:
-    """Nats lost without an effect, and those of ``spare`` that are out beside it."""
+    """Nats lost without an effect, and the effects of ``spare`` that are removed with it."""
     out: list[str] = []
 
     def lost(without: Iterable[str]) -> float:
@@ -120,9 +119,10 @@ def _lost(
 def _rivals(
     where: Space, chosen: frozenset[str], causes: frozenset[str], effect: str
 ) -> dict[str, float]:
-    """Log odds of each other effect in the place of this one among the causes. A rare effect has
-    the odds of a name besides, since a common one is there anyway, and is no better with as many
-    parameters: what it does a common one does as well.
+    """Log odds of each other effect in place of this cause.
+
+    A rare effect also pays the odds of a name. It beats the common effect only with fewer
+    parameters.
     """
     own, size = evidence(where, causes), len(where.where[effect])
     out = {}

@@ -1,10 +1,9 @@
-"""Was the point held, or does the hand travel? What was learnt of the sensors decides.
+"""Test of the hand assumption: a held point against a hand that travels.
 
-Errors of the sensors look like a travelling hand: integrated, they lead away from any point. Where
-the held point sways as no hand does, the recording is explained again by its rests alone, and then
-there are two accounts. What the first learnt of the sensors it learnt from the held point; if that
-point was held, it is true of the rests too, and of headings and fields and poses. If it was made
-up by a hand that went elsewhere, all those contradict it.
+Integrated sensor errors look like a travelling hand. If the held point sways more than a hand does,
+the recording is explained again from its rests alone. The sensor errors estimated from the held
+point then predict the other observations: rests, headings, fields and poses. If the point was
+held, the prediction is good; if the hand travelled, these observations contradict it.
 """
 
 from __future__ import annotations
@@ -23,12 +22,13 @@ from handcal.search.multistart import Found
 
 
 def foretold(found: Found, base: Model, laid: Found) -> float:
-    """Nats by which the sensors as the held point shows them (``found``) predict what is observed
-    without it better than the best account of that alone, ``laid``, whose baseline is ``base``.
+    """Log odds that the point was held, nats: how much better the sensor errors of ``found``
+    predict the observations without the held point than ``laid`` explains them.
 
-    Where both name the same constants (noise tells nothing that the rests could contradict), the
-    sway is no physics that the rests do not show, and as unlikely of a hand that holds as it has to
-    be for the rests to be asked.
+    found: end of the search with the held point. laid: end of the search from the rests alone, with
+    baseline ``base``. If both name the same constants, the wide sway is no missing physics, and the
+    result is -TRAVEL_NATS, the odds against such a sway. (Noise predicts nothing that rests could
+    contradict.)
     """
     held = found.model
     first, second = _constant(found), _constant(laid)
@@ -36,7 +36,7 @@ def foretold(found: Found, base: Model, laid: Found) -> float:
         return -TRAVEL_NATS
     parts = zip(base.parts, held.parts, strict=True)
     begin = [_begun(b, held, h) for b, h in parts]
-    # (of what both name neither may know beforehand, or the same readings would count twice)
+    # (effects that both name keep their usual prior, or the same readings would count twice)
     both, free = first & second, frozenset(held.ids) - (first - second)
     seen = fitted(begin, held.effects, known=known_of(held, free)).log_evidence
     worth = laid.space.quadratic.worth
@@ -45,14 +45,17 @@ def foretold(found: Found, base: Model, laid: Found) -> float:
 
 
 def _constant(found: Found) -> frozenset[str]:
-    """What the end of a search names, but for noise."""
+    """Ids that the end of a search names, except noise."""
     noise = {e.id for e in found.model.effects if e.process is not None}
     return names_of(found.space, found.model) - noise
 
 
 def hand_of(f: Fitted, advantage: float) -> Hand:
-    """What the hand does according to a fit, that being so many nats better than what else was
-    tried; where nothing was, than a hand that travels, of which the sway would tell."""
+    """The hand's motion according to a fit, with its probability.
+
+    advantage: log odds over the alternative, nats; nan if none was tried. Then the size of the sway
+    gives the odds over a travelling hand.
+    """
     if "fixed_position" in f.case.kinds:
         kind = "creeping" if f.case.creeping else "held"
     elif "zero_velocity" in f.case.kinds:
@@ -65,7 +68,8 @@ def hand_of(f: Fitted, advantage: float) -> Hand:
 
 
 def _begun(base: Fitted, held: Model, part: Fitted) -> Fitted:
-    """The baseline of the rests with the effects where the held point has them, and their noise."""
+    """The baseline of the rests with the effects of the held point's fit, at its constants and
+    noise levels."""
     sizes = {(e.id, p.name): p.prior_sigma for e in held.effects for p in e.parameters}
     names = held.quadratic.names
     values = {n: float(u) * sizes[n] for n, u in zip(names, held.u, strict=True) if n in sizes}

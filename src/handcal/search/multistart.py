@@ -1,4 +1,4 @@
-"""The search for what is missing: where its climbs begin, and which end counts."""
+"""The search for missing physics: the starts of its climbs, and the choice of the best end."""
 
 from __future__ import annotations
 
@@ -28,21 +28,23 @@ from handcal.search.space import Space, gains
 from handcal.search.wide_sway import steadied, sways_far
 from handcal.types import HandcalError
 
-# What a single term has to gain, of all that was found, for a second climb to begin with it.
+# Share of the total gain from which a single law is the start of another climb.
 HALF = 0.5
-# A noise level beyond this share of the largest that there is stands at its end.
+# Share of its upper bound from which a noise level counts as at the bound.
 END = 0.99
-# In a fit a third of the innovations lie beyond their own sigma. Where half of them do (their
-# median square, in variances), noise levels could not follow what is wrong.
+# Largest median of the normalised innovations squared. A good fit has 0.45; at 1 half of the
+# innovations exceed their sigma, and noise levels could not absorb what is wrong.
 MISFIT = 1.0
 
 
 @dataclass(frozen=True)
 class Found:
-    """Where the search ended: the final model, the space of the last scan, and
-    what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
-    each noise effect in the model; swaps: (effect, rival) to the nats by which the rival, fitted
-    in its place, does worse; named: the model with which it began to look for laws."""
+    """The end of a search: the final model and the space of the last scan.
+
+    alone: gain of each effect of the catalogue over the baseline. noise: gain of each noise effect
+    of the model. swaps: (effect, rival) to the nats lost with the rival fitted instead. named: the
+    model before the search for laws.
+    """
 
     model: Model
     space: Space
@@ -54,7 +56,7 @@ class Found:
 
 @dataclass(frozen=True)
 class _Common:
-    """What all climbs of a search have in common: see ``Climb`` and ``search``."""
+    """State that all climbs of a search share; see ``Climb`` and ``search``."""
 
     refused: Set[str]
     budget: Budget
@@ -69,13 +71,14 @@ def search(
     budget: Budget | None = None,
     superseded: Callable[[Found], bool] = lambda _: False,
 ) -> Found:
-    """From the baseline to the model that explains the recordings best; refused: effects of which
-    no device has as much as a fit came to; budget: how long it may take; superseded: asked before
-    a second climb, whether where the first one ended is enough.
+    """The model with the highest score, found by climbs from the baseline.
 
-    Where the baseline is no fit the search begins with the one error without which there is none.
-    Named effects may be stand-ins for one thing without a name: if a single law does half as
-    well from the baseline, the search begins again with it, and the better of the two ends counts.
+    refused: effects to leave out, because a fit came to an implausible size of them. budget: limit
+    of time. superseded: called with the end of a climb; if true, no second climb follows.
+
+    If the baseline does not converge, the search starts with the one error that makes it converge.
+    Several names may imitate one law: if a single law gains half as much over the baseline, a
+    further climb starts with it, and the better end counts.
     """
     budget = budget or Budget()
     led = leading(base, refused) if astray(base) else None
@@ -87,7 +90,7 @@ def search(
     common = _Common(refused, budget)
     starts = [base]
     if any(sways_far(f) for f in base.parts):
-        # (the usual sway first: in a wide one little of the physics shows)
+        # (the usual sway first, since a wide one hides physics)
         starts.insert(0, steadied(base))
     found, enough = _begun(starts, common, partial(part_of, report, 0.0, 0.7), superseded)
     if enough:
@@ -97,7 +100,7 @@ def search(
         term = best_term(survey(base, common.vocabulary))
     if term is None:
         return found
-    # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
+    # (compared by fits: a scan underrates it, since the baseline's noise absorbs missing physics)
     alone = fitted(base.parts, [*base.effects, term.effect])
     gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
     if gained > HALF * whole:
@@ -108,10 +111,8 @@ def search(
 
 
 def _may_stand_in(found: Found) -> bool:
-    """Whether something in a model may be there in the place of a law: noise, or what is weak.
-
-    (Of strong names alone, a law in whose place they stood would have left something besides.)
-    """
+    """Whether some effect of a model may imitate a law: noise, a weak name, or any rare effect
+    beside a law. (Strong names alone would leave traces of the law, as noise or weak effects.)"""
     effects = found.model.effects
     others = [e for e in effects if e.process or not ("+=" in e.id or e.common)]
     beside = any("+=" in e.id for e in effects)
@@ -120,8 +121,8 @@ def _may_stand_in(found: Found) -> bool:
 
 
 def astray(base: Model) -> bool:
-    """Whether a baseline is no fit: it does not settle, and its noise does not hold what is left,
-    or only at its end."""
+    """Whether a baseline fit is unusable: it does not settle, and its residuals exceed its noise,
+    or a noise level is at its bound."""
     if base.settled:
         return False
     if not math.isfinite(base.log_evidence):
@@ -133,8 +134,8 @@ def astray(base: Model) -> bool:
 
 
 def leading(base: Model, refused: Set[str] = frozenset()) -> Model | None:
-    """The fit with the one error of the readings without which there is none: where a baseline has
-    diverged, whatever is scanned about it is nonsense. Begun from the online filter with it."""
+    """The best fit with one sensor error, started from the online filter with that error; None if
+    none beats the baseline. (A scan about a diverged baseline means nothing.)"""
     cases = [f.case for f in base.parts]
     acting = [
         e
@@ -152,7 +153,7 @@ def _alone(base: Model, effect: Effect) -> Model | None:
     wanted = (*base.effects, effect)
     try:
         return fitted([started(f.case, wanted) for f in base.parts], wanted)
-    except HandcalError:  # (with this one the online filter diverges too)
+    except HandcalError:  # (the online filter diverges)
         return None
 
 
@@ -162,9 +163,11 @@ def _begun(
     report: Report,
     superseded: Callable[[Found], bool],
 ) -> tuple[Found, bool]:
-    """The best end of climbs from these starts, the last of which is the baseline, up to the first
-    that explains more than that and leaves no wide sway; or one before the last that is superseded,
-    and whether that is so."""
+    """The best end of climbs from these starts, and whether it was superseded.
+
+    The last start is the baseline. Climbs stop after the first end that beats it and has no wide
+    sway, or that is superseded.
+    """
     found: Found | None = None
     for number, start in enumerate(starts):
         own = partial(part_of, report, number / len(starts), 1.0 / len(starts))
@@ -174,7 +177,7 @@ def _begun(
             found = end
         elif advantage(end, found) > 0.0:
             found = replace(end, alone=found.alone, named=found.named)
-        # (an end that is worse than what it began to explain, at noise of its own, is none)
+        # (from the usual sway a climb may end below the baseline)
         held = better(found.model, starts[-1], 1.0) > 0.0
         if held and not any(sways_far(f) for f in found.model.parts):
             break
@@ -185,7 +188,7 @@ def _begun(
 
 
 def advantage(a: Found, b: Found) -> float:
-    """Nats by which one end of a search is likelier than another."""
+    """Score of one end of a search over another, nats."""
     return better(a.model, b.model, min(a.space.quadratic.worth, b.space.quadratic.worth))
 
 
@@ -197,8 +200,10 @@ def _end(
     begun: Model | None = None,
     rival: Model | None = None,
 ) -> Found | None:
-    """The end of a climb from the baseline, or from one with the terms that are needed; None if it
-    would begin without these. rival: see ``Climb``."""
+    """The end of a climb; None if its first scan does not choose all terms in ``needed``.
+
+    base: the baseline. begun: another model to start from. rival: see ``Climb``.
+    """
     start = base if begun is None else begun
     c = Climb(start.bare, needed, common.budget, dropped=set(common.refused))
     c.vocabulary, c.fruitless = common.vocabulary, common.fruitless

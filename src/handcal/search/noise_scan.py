@@ -1,4 +1,4 @@
-"""Noise effects on trial: which of them a model may want, by a look at a few levels each."""
+"""Scan of noise effects: the evidence of each at a few levels, before any is fitted."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws import with_motion
 from handcal.model_score import better, prior
 
-# Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
+# Gain of a noise effect at its best level in the scan from which it is fitted, nats.
 LOOK = 3.0
 
 
 def all_noise() -> list[Effect]:
-    """Noise effects of the catalogue, and errors that go with the motion."""
+    """Noise effects of the catalogue, and motion-dependent errors."""
     return [e for e in (*catalogue().values(), *with_motion.effects()) if e.process is not None]
 
 
 @dataclass(frozen=True)
 class Look:
-    """A model with one noise effect at the best of a few levels, nothing fitted, and the nats by
-    which it is likelier than without."""
+    """A model with one more noise effect (the last) at the best of a few levels, all else kept;
+    gain: of evidence over the model without it, nats."""
 
     effects: tuple[Effect, ...]
     parts: tuple[Fitted, ...]
@@ -39,8 +39,8 @@ class Look:
 def looks_of(
     parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect], most: int
 ) -> list[Look]:
-    """The effects with one noise effect each that the recordings can show, those of the highest
-    score (``most`` at the most), the best first."""
+    """The ``most`` noise effects with the highest scores, each added to ``effects``, best first.
+    Only those that the recordings could show are evaluated."""
     plain = [fit_of(f, effects) for f in parts]
     here = as_they_are(plain)
 
@@ -59,14 +59,15 @@ def looks_of(
 
 
 def of_looks(looks: Sequence[Look]) -> list[tuple[Model, Effect]]:
-    """Fits of those that were worth it at a look, with their noise effects."""
+    """Fits of the looks that gain more than ``LOOK``, with their noise effects."""
     some = [look for look in looks if look.gain > LOOK]
     fits = in_parallel(partial(fitted, look.parts, look.effects) for look in some)
     return [(m, look.effects[-1]) for m, look in zip(fits, some, strict=True)]
 
 
 def on_fewer_axes(model: Model, added: Effect, worth: float) -> tuple[Model, Effect]:
-    """The model with an error that goes with the motion on fewer axes, if that is likelier."""
+    """The model with its motion-dependent error on fewer axes, if that is likelier, and the
+    error."""
     if not with_motion.is_with_motion(added.id):
         return model, added
     rest = [e for e in model.effects if e is not added]
@@ -79,7 +80,8 @@ def on_fewer_axes(model: Model, added: Effect, worth: float) -> tuple[Model, Eff
 
 
 def _kept_at(model: Model, rest: Sequence[Effect], new: Effect, old: Effect) -> float:
-    """Log-evidence with one noise effect in another's place and its levels, all else kept."""
+    """Log-evidence with ``new`` in place of the noise effect ``old``, at the same levels, all else
+    kept."""
     total = 0.0
     for f in model.parts:
         wide = moved_to(f, (*rest, new))

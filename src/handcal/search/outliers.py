@@ -1,4 +1,4 @@
-"""Readings that are merely wrong: a heading that points anywhere now and then."""
+"""Outliers among headings and magnetometer readings."""
 
 from __future__ import annotations
 
@@ -20,25 +20,24 @@ from handcal.model_score import PRIOR, probability
 from handcal.observations import Rows
 from handcal.types import Array, BoolArray, Parameter
 
-# In robust sigmas of the smoothed residual: worth a look, and held to be wrong.
+# In robust sigmas of the residual from its usual value: suspicious, and an outlier.
 FAR = 5.0
 WRONG = 4.0
-# Headings that must stand out for any to be left out.
+# Least count of suspicious readings from which outliers are removed.
 FEWEST = 3
-# Readings of a heading among which one stands out.
+# Width of the median filter, in readings.
 NEIGHBOURS = 11
-# Fits without what stands out, at the most: each may show others that do.
+# Largest count of rounds of removal and fit: each may show further outliers.
 ROUNDS = 4
-# From body x to the vertical; within 15 deg no heading counts (contract).
+# Angle from body x to the vertical within which a heading is not judged, rad.
 STEEP = math.radians(10.0)
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """Outliers found: nats gained, posterior probability, share of readings.
+    """Outliers found: gain in nats, posterior probability, share of readings.
 
-    burst: from and to, s, if they come one after the other: that is no share of the readings
-    at random, but something that happened there.
+    burst: start and end, s, if they are consecutive, so that one event is their cause.
     """
 
     gain: float
@@ -48,14 +47,14 @@ class Wrong:
 
 
 def cleaned(base: Model) -> tuple[Model, Wrong | None]:
-    """The baseline without outlying headings, if the evidence is for a share of them.
+    """The baseline without outlying headings, if that raises the score, and what was left out.
 
-    Each left-out reading costs the logarithm of a uniform density, and how many there are
-    that of a share about which nothing is known.
+    Each outlier has a uniform density. Their count has a binomial density with a uniform prior of
+    the share.
     """
     effect = catalogue()["heading_outliers"]
     parts = [f for f in base.parts if set(effect.outliers) & set(f.case.kinds)]
-    fits = math.isfinite(base.log_evidence)  # (of none at all, no reading can be told to be wrong)
+    fits = math.isfinite(base.log_evidence)  # (a diverged fit cannot show outliers)
     if not fits or not parts or not any(_suspicious(f) for f in parts):
         return base, None
     model, bad = base, 0
@@ -85,8 +84,8 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
 
 
 def put_back(base: Model, model: Model) -> Model:
-    """The model fitted to the readings of the baseline, those left out among them: what missing
-    physics did to a reading looks like a mistake until that physics is there."""
+    """The model fitted to all readings of the baseline, outliers included: physics that the
+    baseline lacked may account for them."""
     begin = []
     for original, f in zip(base.parts, model.parts, strict=True):
         rows = {o.kind: r for o, r, _ in original.case.observed}
@@ -98,13 +97,13 @@ def put_back(base: Model, model: Model) -> Model:
 
 
 def share(model: Model, masks: Sequence[BoolArray | None], gain: float) -> Wrong:
-    """The share of headings that were left out of a model, and what that gained."""
+    """The share of readings that were left out of a model, with its gain."""
     effect = catalogue()["heading_outliers"]
     bad = sum(int(m.sum()) for m in masks if m is not None)
     total = sum(len(m) for m in masks if m is not None)
     mean = (bad + 1.0) / (total + 2.0)
     sigma = math.sqrt(mean * (1.0 - mean) / (total + 3.0))
-    # those that point the right way by chance are not seen
+    # (outliers that agree with the attitude by chance are missed)
     seen = 1.0 - min(0.9, _unseen(model))
     mean, sigma = min(1.0, mean / seen), sigma / seen
     p = effect.parameters[0]
@@ -113,8 +112,9 @@ def share(model: Model, masks: Sequence[BoolArray | None], gain: float) -> Wrong
 
 
 def standing_out(base: Model) -> list[BoolArray | None] | None:
-    """Which headings of each recording are far from what those before and after them say; None
-    if none are. The trajectory may err, if only slowly."""
+    """Masks (m,) of headings far from their neighbours, relative to the trajectory, one for each
+    recording (None without outliers). None if no recording has any. Slow errors of the trajectory
+    cancel."""
     masks: list[BoolArray | None] = []
     for f in base.parts:
         k = heading_kind(f.case)
@@ -138,13 +138,13 @@ def standing_out(base: Model) -> list[BoolArray | None] | None:
 
 
 def without(base: Model, masks: Sequence[BoolArray | None]) -> list[Fitted]:
-    """The recordings of a model without these headings, to begin a fit from."""
+    """The recordings of a model without the masked headings, as the start of a fit."""
     return [_without(f, f, m) for f, m in zip(base.parts, masks, strict=True)]
 
 
 def _unseen(model: Model) -> float:
-    """Share of wrong headings, anywhere on the circle, that are no further off than a good one;
-    of wrong fields, none."""
+    """Share of wrong headings, uniform on the circle, that are as close as a good one; zero for
+    fields."""
     widths = [0.0]
     for f in model.parts:
         k = heading_kind(f.case)
@@ -154,13 +154,13 @@ def _unseen(model: Model) -> float:
 
 
 def _scale(r: Array) -> float:
-    """Standard deviation of residuals (m,), by their median distance."""
+    """Robust standard deviation of residuals (m,), from their median absolute deviation."""
     return 1.4826 * float(np.median(np.abs(r - np.median(r))))
 
 
 def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitted:
-    """The fit without outliers, with the readings of the burst back in, less what they are off
-    by in the median: as if all erred alike. That costs what its moment and its size are worth."""
+    """The fit with the headings of a burst restored and turned back by their mean error, as if one
+    constant caused them. The cost is that of its two times and its size."""
     k = heading_kind(original.case)
     if k is None:
         return f
@@ -179,31 +179,32 @@ def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitt
 
 
 def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float] | None:
-    """When the outliers were, if most of them have an outlier for a neighbour."""
+    """Start and end of the outliers, s, if most are consecutive; None otherwise."""
     for f, mask in zip(base.parts, masks, strict=True):
         k = heading_kind(f.case)
         if mask is None or k is None or mask.sum() < FEWEST:
             continue
         if f.case.observed[k][0].dim != 1:
-            continue  # (what a magnet that passes does is no turn of north)
+            continue  # (a passing magnet adds a field that changes, no constant turn)
         rows = f.case.observed[k][1]
         told = _told(f, rows) | mask
         t, mask = rows.t[told], mask[told]
         beside = np.r_[False, mask[:-1]] | np.r_[mask[1:], False]
-        # of outliers at random, one in 1 / (2 share) has an outlying neighbour
+        # (of random outliers, a share of twice their frequency has an outlier as a neighbour)
         if (mask & beside).sum() > mask.sum() * (2.0 * mask.mean() + 0.4):
             return float(t[mask & beside][0]), float(t[mask & beside][-1])
     return None
 
 
 def heading_kind(case: Case) -> int | None:
-    """Number of the kind that tells a heading, measured or magnetic."""
+    """Index of the kind of observation that has the heading, measured or magnetic; None without
+    one."""
     kinds = [o.kind for o, _, _ in case.observed]
     return next((k for k, name in enumerate(kinds) if name in ("heading", "magnetometer")), None)
 
 
 def residual(f: Fitted, k: int) -> tuple[Array, Array]:
-    """Times (m,) s and residuals (m, d) of the k-th kind, as they are used."""
+    """Times (m,) s and residuals (m, d) of the used observations of the k-th kind."""
     mine = (f.linear.kind == k) & f.linear.used
     t = np.repeat(f.linear.t, np.diff(f.linear.first))
     return t[mine], f.linear.r[mine, : f.problem.observations[k].dim]
@@ -219,13 +220,13 @@ def _suspicious(f: Fitted) -> bool:
 
 
 def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
-    """Which of the original rows are outlying, seen from the fit's trajectory."""
+    """Mask (m,) of the original rows that are outliers about the fit's trajectory."""
     k = heading_kind(original.case)
     if k is None:
         return None
     t, r = residual(f, k)
     rows = original.case.observed[k][1]
-    # (rows that were left out are judged by the trajectory that the others make)
+    # (rows that were left out have no residual in the fit: compared with its attitude instead)
     observation = original.case.observed[k][0]
     if observation.dim == 1 and f.case.constant == 0.0:
         full = np.interp(rows.t, t, r[:, 0])[:, None]
@@ -237,20 +238,20 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
 
 
 def _away(r: Array) -> Array:
-    """How far residuals (m, d) are from the usual: of a heading from all of them; of a field, which
-    is bent for seconds at a time, from those before and after."""
+    """Distance of residuals (m, d) from their usual value: for a heading the median of all, for a
+    field, which is disturbed for seconds, the median of neighbours."""
     usual = np.median(r, axis=0) if r.shape[1] == 1 else median_filter(r, (NEIGHBOURS, 1))
     return np.asarray(np.abs(r - usual))
 
 
 def _scales(r: Array) -> Array:
-    """Standard deviation of each channel of residuals (m, d), by their median distance (d,)."""
+    """Robust standard deviation (d,) of each channel of residuals (m, d)."""
     return np.asarray(1.4826 * np.median(_away(r), axis=0))
 
 
 def _off(f: Fitted, rows: Rows) -> Array:
-    """How far each reading of a heading (m, 1), rad, or of a magnetic field (m, 3), tesla, is from
-    what it would be at the attitude of its moment."""
+    """Reading minus prediction from the attitude: of a heading (m, 1), rad, or of a magnetic field
+    (m, 3), tesla."""
     if rows.z.shape[1] == 1:
         yaw = np.interp(rows.t, f.t, np.unwrap(_yaw(f)))
         return np.asarray(so3.wrap(rows.z[:, 0] - yaw))[:, None]
@@ -262,8 +263,8 @@ def _off(f: Fitted, rows: Rows) -> Array:
 
 
 def _told(f: Fitted, rows: Rows) -> BoolArray:
-    """Which readings (m,) are of an attitude that has a heading, a field always; where it hardly
-    has one, the reading counts in one round and not in the next, so it is judged."""
+    """Mask (m,) of readings at attitudes with a defined heading; all readings of a field. The limit
+    ``STEEP`` is narrower than that of the filter, which may use a reading in some rounds only."""
     if rows.z.shape[1] != 1:
         return np.ones(len(rows.t), dtype=bool)
     up = np.interp(rows.t, f.t, f.trajectory.C[:, 2, 0])

@@ -1,4 +1,4 @@
-"""Which set of effects? A search over subsets on the quadratic, and posterior probabilities."""
+"""Search over subsets of effects on the quadratic, and their posterior probabilities."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from handcal.types import Array, IntArray
 
 @dataclass(frozen=True)
 class Space:
-    """The candidates and what a pass of the filter says of them.
+    """The candidate effects and their quadratic.
 
-    prior: log prior odds by effect id; alone: ids of which at most one can be present
-    (one effect held at several moments), by id.
+    prior: log prior odds by effect id. where: places of each effect's parameters in the quadratic.
+    scores: kept scores of subsets. Of one effect held at several moments, a subset may have one.
     """
 
     quadratic: Quadratic
@@ -33,7 +33,7 @@ class Space:
 
     @cached_property
     def numbers(self) -> Mapping[str, int]:
-        """Of each effect its place among all, by their names."""
+        """The index of each effect in alphabetical order."""
         return {i: n for n, i in enumerate(sorted(self.effects))}
 
     @cached_property
@@ -43,7 +43,7 @@ class Space:
 
     @cached_property
     def plain(self) -> Mapping[str, str]:
-        """Of each effect the catalogue's id."""
+        """The catalogue's id of each effect, without its moment."""
         return {i: name_of(i) for i in self.effects}
 
     def score(self, chosen: Iterable[str]) -> float:
@@ -62,7 +62,7 @@ class Space:
 
 
 def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:
-    """Candidates with their places in the quadratic. prior: log odds where not the usual."""
+    """Candidates with their places in the quadratic; prior: log odds that are not the usual."""
     where: dict[str, list[int]] = {e.id: [] for e in effects}
     for i, (owner, _) in enumerate(quadratic.names):
         if owner in where:
@@ -81,7 +81,7 @@ def best_set(where: Space, start: Iterable[str] = ()) -> frozenset[str]:
     chosen = frozenset(start)
     value = where.score(chosen)
     while True:
-        # (of many effects there are a hundred times as many exchanges as there is to add and drop)
+        # (additions and removals first, since exchanges are a hundred times as many)
         option = _best(where, _more_or_less(where, chosen), value)
         if option is None:
             option = _best(where, _exchanged(where, chosen), value)
@@ -93,7 +93,7 @@ def best_set(where: Space, start: Iterable[str] = ()) -> frozenset[str]:
 
 
 def _best(where: Space, options: Iterable[frozenset[str]], above: float) -> frozenset[str] | None:
-    """The option of the highest score, if that is above this."""
+    """The option with the highest score, if that exceeds ``above``."""
     best = max(options, key=where.score, default=None)
     return best if best is not None and where.score(best) > above else None
 
@@ -119,7 +119,8 @@ def _exchanged(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]]
 
 
 def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] | None:
-    """Two for one, or one for two, among the candidates that come next."""
+    """The best move of two effects: add two, drop two, two for one, or one for two. New effects are
+    the eight that score highest alone."""
     others = [i for i in where.effects if i not in chosen]
     near = sorted(others, key=lambda i: -where.score(chosen | {i}))[:8]
     best, found = value + 1e-9, None
@@ -143,10 +144,10 @@ def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] 
 def probabilities(where: Space, chosen: frozenset[str], most: float = math.inf) -> dict[str, float]:
     """Posterior probability of each effect, over the sets near the best.
 
-    most: the score beyond which a set is left out. (A search ends where no fit is better: what a
-    scan promises beyond that was fitted and did not keep it, and speaks for none of its members.)
+    most: score beyond which a set is left out. (A climb ends if no fit beats the model. Sets with a
+    higher score in the scan were fitted and failed, so they support none of their effects.)
     """
-    # (in an order that is the same in every run)
+    # (a fixed order keeps sums reproducible)
     scores = {s: where.score(s) for s in (chosen, *_neighbours(where, chosen))}
     scores = {s: v for s, v in scores.items() if v <= most}
     top = max(scores.values())
@@ -167,8 +168,8 @@ def rivals(where: Space, chosen: frozenset[str], member: str) -> dict[str, float
 
 
 def gains(where: Space, chosen: frozenset[str]) -> dict[str, float]:
-    """Nats that each effect gains: of those chosen over the set without it, of the others
-    over the set when added. Prior odds are not counted."""
+    """Gain of each effect, nats, without prior odds: of a chosen one over the set without it, of
+    another one when added to the set."""
     value = where.score(chosen)
     out = {}
     for i in where.effects:
@@ -181,9 +182,10 @@ def gains(where: Space, chosen: frozenset[str]) -> dict[str, float]:
 
 
 def expected_gain(where: Space, effect: str, chosen: frozenset[str], size: Array) -> float:
-    """Nats that the information matrix promises for an effect of this size (k,), in priors.
+    """Expected gain of an effect of this size (k,), in units of its priors, nats.
 
-    The mean over the noise of the log-evidence it would gain, Occam's factor included.
+    The mean over the noise of its log-evidence gain, Occam factor included, from the information
+    matrix.
     """
     rest = sorted(chosen - {effect})
     parts = [where.where[i] for i in rest]

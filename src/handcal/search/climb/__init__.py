@@ -1,10 +1,10 @@
-"""The climb from a model to one that explains more: scan, take a step, fit again.
+"""The climb, a greedy search by steps that raise the score: scan, take a step, fit again.
 
-One step, one function: it returns the model to go on from, or None where there is nothing to
-do, and the first that does something ends the turn. The climb ends where none does.
+Each step is one function. It returns a better model, or None. The first step that returns a model
+ends the turn. The climb ends with a turn in which no step does.
 
-``sequence`` has the steps in their order. They are in ``subset_steps`` (sets of effects),
+``sequence`` has the order of the steps. They are in ``subset_steps`` (sets of effects),
 ``exchange_steps`` (one effect for another), ``noise_steps`` (noise effects) and ``law_steps`` (laws
-without a name, of which ``in_place`` has those that take the place of others); ``candidates`` is
-what a turn scans, ``state`` what the steps hand on.
+without a name; ``in_place`` has laws that replace other effects). ``candidates`` has the effects of
+a scan, ``state`` the state that steps share.
 """

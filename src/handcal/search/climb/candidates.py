@@ -1,4 +1,4 @@
-"""What is on trial in a turn of a climb: effects, steps at moments, terms; and the scan of it."""
+"""Candidates of a turn of a climb (effects, steps at moments, terms) and their scan."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ from handcal.search.jumps import sudden
 from handcal.search.space import Space, space
 from handcal.types import Array
 
-# Log odds of what was fitted without and not missed.
+# Log odds of a candidate that must not be chosen.
 REFUSED = -1e6
 
 
 def candidates(
     parts: Sequence[Fitted], present: Sequence[Effect], done: ReducedPass
 ) -> list[Effect]:
-    """Effects with parameters that at least one recording could show; a step at moments all over
-    the recording, near the moment where it is already, and where a reading was least expected.
-    done: a pass over the first recording's fit."""
+    """Effects with parameters that at least one recording could show.
+
+    A step is a candidate at moments on a grid (near its present moment, if the model has it) and at
+    the least expected readings. done: a pass over the first recording's fit.
+    """
     out: list[Effect] = []
     cases = [f.case for f in parts]
     t = cases[0].recording.imu.t
@@ -51,13 +53,13 @@ def candidates(
 
 
 def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
-    """The grid of moments, or a finer one about the moment that is in the model."""
+    """The grid of moments, or a finer one about the moment of a step in the model."""
     for e in present:
         if name_of(e.id) == effect.id:
             at, column = float(e.id.split("@")[1]), int(np.flatnonzero(grid[0])[0])
             step = abs(grid[1, column] - grid[0, column]) if len(grid) > 1 else 1.0
             fine = np.zeros((2 * 8 + 1, grid.shape[1]))
-            # halve the spacing each round; what is nearest stays in
+            # (first half a grid step to each side, then a tenth; the present moment stays on it)
             width = step * (0.5 if _on(grid[:, column], at) else 0.1)
             fine[:, column] = at + np.linspace(-width, width, len(fine))
             return fine
@@ -65,7 +67,7 @@ def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
 
 
 def _with(grid: Array, at: Array) -> Array:
-    """The grid (k, p) with further moments (m,), in their order."""
+    """The grid (k, p) with further moments (m,), sorted."""
     column = int(np.flatnonzero(grid[0])[0])
     more = np.zeros((len(at), grid.shape[1]))
     more[:, column] = at
@@ -78,12 +80,13 @@ def _on(grid: Array, at: float) -> bool:
 
 
 def scanned(c: Climb) -> Space:
-    """What every effect on trial, and every term so far, would gain about the model there is."""
+    """The scan of all candidates, and of all terms so far, about the climb's model."""
     return scanned_about(c.model, c.unnamed, c.dropped | c.beyond)
 
 
 def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Space:
-    """The same about any model, with these terms, but for names that are refused."""
+    """The scan of all candidates and these terms about a model; refused: names at odds that rule
+    them out."""
     own = {e.id: e for e in model.effects}
     cases = [f.case for f in model.parts]
     about = grounds(model)
@@ -101,8 +104,11 @@ def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Spa
 def fitted_with(
     model: Model, where: Space, chosen: Set[str], than: Model | None = None, worth: float = 1.0
 ) -> Model:
-    """A set of what is on trial in the place of the model's own, beside its noise, from its fit;
-    than: a model that it should be likelier than, at this worth of evidence."""
+    """The fit of a set of candidates in place of the model's effects, with its noise effects.
+
+    model: start of the fit. than: a model to exceed, at this worth of evidence, or the fit may stop
+    early.
+    """
     noise = [e for e in model.effects if e.process is not None]
     wanted = [*(where.effects[i] for i in sorted(chosen)), *noise]
     return fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))

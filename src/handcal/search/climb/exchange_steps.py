@@ -1,5 +1,4 @@
-"""Steps of a climb that put one effect in the place of another that looks like it, or on the other
-side of the others."""
+"""Steps of a climb that exchange similar effects, or change the order of effects in a sensor."""
 
 from __future__ import annotations
 
@@ -34,20 +33,20 @@ from handcal.search.climb.state import (
 from handcal.search.space import best_set, gains, rivals
 from handcal.types import Array
 
-# A rival that would do so much of what an effect does is fitted in its place.
+# Share of an effect's gain that a rival must reach in a scan to be fitted in its place.
 NEARLY = 0.4
-# Exchanges tried in a climb at the most, each counted both ways.
+# Largest count of exchanges in a climb; each counts twice, once for either direction.
 MOST_SWAPS = 6
-# Between two that are the same to the first order, evidence swings by as much as eleven nats
-# with the hand's sway, whichever of them is there; it counts that much less.
+# Divisor of the evidence between two effects that are equal to first order. It varies by as much
+# as eleven nats with the hand's sway, whichever of them is the cause.
 ALIKE = 4.0
 
 
 def exchange(c: Climb) -> Model | None:
-    """The model with an effect's closest rival in its place, if that fits better.
+    """The model with an effect replaced by its closest rival, if that fits better.
 
-    Two effects may be one to the first order (a low pass of the gyro, an early
-    accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
+    Two effects may be equal to first order (a low pass of the gyro, an early accelerometer). A scan
+    about a fit with one cannot evaluate the other, so it is fitted.
     """
     model, where = c.model, c.where
     gained = gains(where, model.chosen)
@@ -59,13 +58,13 @@ def exchange(c: Climb) -> Model | None:
 
     calls = (partial(exchanged, *pair) for pair in pairs)
     for tried, (e, rival) in in_time(c, calls, pairs):
-        # (what comes out on the side where it cannot be is no rival, however well it fits)
+        # (a rival with a negative value of a positive parameter does not count)
         worse = better(model, tried, c.worth) if tried.one_sided else math.inf
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
         fell_short(c, tuple(sorted((e.id, rival))), abs(worse))
         if worse < 0.0:
             return tried
-        # the wrong one of the two may need a weak third, which the right one does not
+        # (the wrong effect may need a weak third one, which the right one does not)
         others = [x for x in model.effects if x is not e]
         weakest = min(
             (x for x in others if x.id in model.chosen and not x.common),
@@ -81,23 +80,23 @@ def exchange(c: Climb) -> Model | None:
 
 
 def _rivalries(c: Climb, gained: Mapping[str, float]) -> list[tuple[Effect, str]]:
-    """Effects of the model, each with the rival that would do most of what it does."""
+    """Effects of the model, each with the rival that reaches the largest share of its gain."""
     have, now = {name_of(i) for i in c.model.ids}, c.model.chosen
     pairs: list[tuple[Effect, str]] = []
     tried = set(c.swaps)
     for e in c.model.effects:
-        # (what was in the baseline is taken off the readings already)
+        # (the baseline's effects stay)
         if e.id not in now or e.id in c.kept or len(tried) >= MOST_SWAPS:
             continue
         if gained[e.id] < -PRIOR:
             continue
-        # what a rival would do of all that the effect does
+        # (nats lost with each rival, then the share of the effect's gain that it reaches)
         lost = {i: -v for i, v in rivals(c.where, now, e.id).items() if i in catalogue()}
         lost = {i: v for i, v in lost.items() if i != e.id and (v < HOPELESS or akin(e.id, i))}
         near = {i: 1.0 - v / gained[e.id] for i, v in lost.items()}
         near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
         near = {i: v for i, v in near.items() if i not in have | c.dropped}
-        # (what holds this effect and more is not in its place, but beside it)
+        # (an effect that includes this one is no exchange for it)
         near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
         near = {i: v for i, v in near.items() if (e.id, i) not in tried}
         if near:
@@ -108,9 +107,9 @@ def _rivalries(c: Climb, gained: Mapping[str, float]) -> list[tuple[Effect, str]
 
 
 def lateness(c: Climb) -> Model | None:
-    """The model with a delay of another sensor in the place of a slow gyro, where neither has a
-    clear share: by the conventions it is the gyro's stamps that define time, and whoever takes off
-    a lag that the gyro does not have, makes it worse."""
+    """The model with a slow gyro replaced by a delay of another sensor, if the evidence between
+    them is not clear. By convention the gyro's stamps define time, and correcting a lag that the
+    gyro does not have would make it worse. None if no exchange applies."""
     sure = math.log(NAMED / (1.0 - NAMED))
     for e in c.model.effects:
         near = {r: worse for (i, r), worse in c.swaps.items() if i == e.id and r in e.akin}
@@ -125,14 +124,14 @@ def lateness(c: Climb) -> Model | None:
 
 
 def akin(a: str, b: str) -> bool:
-    """Whether two effects are the same to the first order."""
+    """Whether two effects are equal to first order."""
     one, other = catalogue().get(a), catalogue().get(b)
     return one is not None and other is not None and (b in one.akin or a in other.akin)
 
 
 def reorder(c: Climb) -> Model | None:
-    """A filter or a delay on the other side of the other errors, if that fits better: in the
-    sensor they come one after the other, and nobody tells in which order."""
+    """The model with a filter or delay before the other errors instead of after, or the reverse, if
+    that fits better. The order in the sensor is unknown."""
     model, now = c.model, frozenset(c.model.ids)
     ways = []
     for e in model.effects:
@@ -148,9 +147,11 @@ def reorder(c: Climb) -> Model | None:
 
 
 def hidden(c: Climb) -> Model | None:
-    """The model with a filter whose lag delays may hold as well: beside these a scan about zero
-    shows nothing of it, since what it smooths grows with its square. So it is fitted, from its
-    usual size on, with all the delays that may make up for its lag."""
+    """The model with a filter whose lag delays may have absorbed.
+
+    Beside delays a scan about zero cannot show a filter, since its smoothing is of second order. So
+    it is fitted, from its usual size on, with all delays that could compensate its lag.
+    """
     model, now = c.model, frozenset(c.model.ids)
     have = {name_of(i) for i in now} | c.dropped
     cases = [f.case for f in model.parts]
@@ -178,8 +179,8 @@ def hidden(c: Climb) -> Model | None:
 
 
 def _promised(model: Model, effect: Effect, worth: float) -> float:
-    """Nats that a filter gains by a scan of what it does at its usual size, delays and all else
-    that the model has being free: of that the part shows which no delay makes up for. (A fit gains
+    """Gain of a filter in a scan of its error at the usual size, nats. Delays and all other effects
+    of the model are free, so only the part that no delay compensates counts. (A fit gains about
     twice as much.)"""
     error, usual = effect.imu_error, effect.prior_sigma
     assert error is not None
@@ -204,8 +205,11 @@ def _beside_delays(
     refused: Set[str],
     worth: float,
 ) -> Model | None:
-    """The model with a filter and such delays as it cannot do without, about a fit with all of
-    them; None if that is the model. worth: what evidence counts for."""
+    """The model with a filter and the delays that it needs, chosen about a fit with all of them.
+
+    wanted: the filter and its delays. worth: power of the likelihood. None if the choice is the
+    present model.
+    """
     tried = fitted(model.parts, [*model.effects, *wanted])
     where = scanned_about(tried.bare, unnamed, refused)
     fewer = best_set(where, tried.chosen)
@@ -217,5 +221,5 @@ def _beside_delays(
 
 
 def _smooths(effect: Effect) -> bool:
-    """Whether it is a filter of the readings, which has one direction in time."""
+    """Whether an effect is a causal filter of the readings."""
     return effect.imu_inverse is not None and any(p.positive for p in effect.parameters)

@@ -1,4 +1,4 @@
-"""Laws in the place of what may stand in for one on a sensor, noise first of all, or beside it."""
+"""Laws in place of effects that may imitate them (noise first), or beside them."""
 
 from __future__ import annotations
 
@@ -29,13 +29,16 @@ from handcal.search.climb.state import (
 )
 from handcal.search.space import best_set, gains
 
-# Effects to which a term is added, its formula, and what it is made of.
+# Key of a fit: ids of the effects to which a term is added, the term's formula and its definition.
 Way = tuple[frozenset[str], str, object]
 
 
 def instead_of_noise(c: Climb, room: int) -> Model | None:
-    """The model with terms in the place of what may stand in for them, or beside it: the likeliest,
-    and those of other channels that are likelier as well; room: how many there may be."""
+    """The model with the best law, in place of effects that may imitate it or beside them, and with
+    further laws on other channels that raise the score too.
+
+    room: largest count of new laws.
+    """
     key = frozenset(c.model.ids)
     if key in c.bared:
         return None
@@ -52,9 +55,8 @@ def instead_of_noise(c: Climb, room: int) -> Model | None:
 
 
 def _and_of_others(c: Climb, tried: Model, ends: Sequence[tuple[Model, Term]], room: int) -> Model:
-    """A model with a term, and with the best of those of other channels that is likelier still,
-    each in the place of what it was likelier without. (Beside the first, a further look at all laws
-    mostly finds the same.)"""
+    """A model with a term, and further terms on other channels, each with the removals that it was
+    fitted with. (Another survey of all laws would mostly find the same ones.)"""
     others = _apart(ends, c.unnamed[-1])
     while room > 0 and not c.budget.cuts() and (best := best_of(c, others)) is not None:
         alone, term = best
@@ -67,20 +69,20 @@ def _and_of_others(c: Climb, tried: Model, ends: Sequence[tuple[Model, Term]], r
 
 
 def _apart(ends: Sequence[tuple[Model, Term]], than: Term) -> list[tuple[Model, Term]]:
-    """Those with a term that adds to no channel to which this one adds."""
+    """Fits whose term has no channel in common with this one."""
     own = set(channels_of(than.effect))
     return [(m, term) for m, term in ends if own.isdisjoint(channels_of(term.effect))]
 
 
 def _may_hide(last: Barred | None, own: frozenset[str], held: float) -> bool:
-    """Whether a law may be likelier in the place of doubted effects than it was when that was tried
-    last: they are others, or hold as many nats more as it fell short."""
+    """Whether a law in place of doubted effects may succeed after it failed: the effects have
+    changed, or they now hold more nats by more than the law fell short."""
     return last is None or own != last.own or held - last.held > last.short
 
 
 def _hidden_by(c: Climb, sensor: str, doubted: frozenset[str]) -> tuple[frozenset[str], float]:
-    """What of the model a law of this sensor has to do with, and the nats that noise and the weak
-    of the doubted effects hold."""
+    """The effects that a law of this sensor could replace or change, and the nats held by the noise
+    and the weak ones of the doubted."""
     own = doubted | {e.id for e in c.model.effects if e.id.startswith(sensor)}
     gained = gains(c.where, c.model.chosen)
     weak = sum(v for i, v in gained.items() if i in doubted and v < WEAK)
@@ -92,15 +94,15 @@ def _hidden_by(c: Climb, sensor: str, doubted: frozenset[str]) -> tuple[frozense
 
 
 def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> float:
-    """Nats by which the best of these laws of a sensor is less likely than the model."""
+    """Nats by which the best of these laws of a sensor scores below the model."""
     own = [m for m, term in ends if sensor_of(term) == sensor]
-    # (of what diverged nothing is known)
+    # (diverged fits say nothing)
     nats = [-better(m, c.model, c.worth) for m in own if math.isfinite(m.log_evidence)]
     return min(nats, default=0.0 if own else ENOUGH)
 
 
 def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
-    """The best of fits with a term each that are likelier than the model there is."""
+    """The best of these fits, each with a term, if it beats the climb's model."""
     best = best_of(c, ends)
     if best is None:
         return None
@@ -108,7 +110,7 @@ def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
 
 
 def _taken(c: Climb, tried: Model, term: Term) -> Model:
-    """The model with its term, which is one of the climb's from now on."""
+    """The model; its term joins those of the climb."""
     c.unnamed.append(term)
     forget(c, tried)
     return tried
@@ -117,13 +119,12 @@ def _taken(c: Climb, tried: Model, term: Term) -> Model:
 def _ends(
     c: Climb, doubted: Mapping[str, list[frozenset[str]]], last: bool
 ) -> tuple[list[tuple[Model, Term]], list[str]]:
-    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest;
-    and the sensors of which no other set of effects is left to be asked about.
+    """Fits with a term in place of effects of each sensor or beside them, and the sensors whose
+    sets of effects have all been tried.
 
-    In the place of more is looked only where in that of fewer a fit comes near the best there is:
-    without further names it has no more evidence than with them, but for what these cost. And, but
-    for the last term, only where none of these is of any use: what is found in the place of more
-    is found beside that as well.
+    The smallest sets come first. A larger set is tried only if a fit with a smaller one comes near
+    the best score, since removing more names gains no more than their odds. Unless this is the last
+    term, larger sets are tried only if no smaller one raised the score.
     """
     ends: dict[Way, tuple[Model, Term]] = {}
     far: set[tuple[str, str, object]] = set()
@@ -135,14 +136,14 @@ def _ends(
             for m, term in _in_place(c, sensor, left[sensor].pop(0)):
                 way: Way = (frozenset(m.ids), term.effect.id, term.effect.made)
                 bare[sensor] += [] if m is c.model else [way]
-                # (in the place of more may be found what was found in that of less)
+                # (a larger set may lead to the same term as a smaller one)
                 if way not in ends and (sensor, *way[1:]) not in far:
                     ways[way] = m, term
         ends |= zip(ways, fits_of(c, ways), strict=False)
         reached = {way: score(m, c.worth) for way, (m, _) in ends.items()}
         best = max([score(c.model, c.worth), *reached.values()])
         for sensor, mine in bare.items():
-            # (of one that diverged nothing is known)
+            # (a diverged fit does not rule its term out)
             far |= {
                 (sensor, *way[1:])
                 for way in mine
@@ -156,16 +157,17 @@ def _ends(
 
 
 def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
-    """Models, each fitted with its term, and that; those for which there is time."""
+    """Fits of models with their terms, and the terms, as far as the budget allows."""
     calls = (partial(with_term, m, t, c.worth, c.beyond, c.model) for m, t in ways.values())
     return [(m, term) for m, (_, term) in in_time(c, calls, ways.values())]
 
 
 def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
-    """Sensors, each with effects of the model that may stand in for one law together: noise, which
-    hides whatever has no name; the weak ones, with it; steps, whose moment is free, with both; and
-    delays besides, by which a sensor's error is as fast as what it reads changes. Each set holds
-    those before."""
+    """Growing sets of effects that may imitate a law, by sensor.
+
+    First noise, then weak names, then steps (whose moment is free), then delays (whose error is
+    proportional to the rate of change of the reading). Each set includes the ones before.
+    """
     gained = gains(c.where, c.model.chosen)
     out: dict[str, list[frozenset[str]]] = {}
     late = late_ones([e for e in c.model.effects if e.id not in c.kept])
@@ -182,26 +184,26 @@ def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
 
 
 def sensor_of(term: Term) -> str:
-    """Of whose readings a term is ("" for a course of something else)."""
+    """The sensor of a term; "" if it acts on none."""
     return next((s for s in SENSORS if term.effect.id.startswith(s)), "")
 
 
 def names_of(c: Climb, sensor: str) -> list[Effect]:
-    """The errors of a sensor that have a name, but for noise and what is kept."""
+    """The named errors of a sensor in the model, without noise and the baseline's effects."""
     own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
     return [e for e in own if e.process is None and name_of(e.id) in catalogue()]
 
 
 def surveyed(c: Climb) -> Survey:
-    """The survey of the climb's model: one for all that is asked of it."""
+    """The survey of the climb's model, made once for each model."""
     if c.survey is None or c.survey.model is not c.model:
         c.survey = survey(c.model, c.vocabulary)
     return c.survey
 
 
 def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
-    """Terms that are looked for beside the model's effects but for these, each with the models to
-    which it may be added: without them, and with."""
+    """Terms found beside the model without these effects, each paired with the models to which it
+    may be added: without the effects, and with them."""
     rest, found = beside_the_rest(c, sensor, ids, refused_by(c))
     return [(m, term) for term in found for m in (rest, c.model)]
 
@@ -209,23 +211,21 @@ def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, T
 def beside_the_rest(
     c: Climb, sensor: str, ids: frozenset[str], refused: Set[str]
 ) -> tuple[Model, list[Term]]:
-    """The model without some effects, and terms that are looked for beside what it has."""
-    # (looked for about the model without them: a filter or a delay that goes is no small change,
-    # as a survey beside them would have it, nor is that of a weak name: what a sensor's asymmetry
-    # stood in for showed in none)
+    """The model without some effects, and the best terms beside it."""
+    # (linearised without them, since removing a filter or delay is no small change)
     rest = without(c.model, ids)
-    # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
+    # (at the worth of the full model: without the effects, what the law explains looks like misfit)
     where = survey(rest, c.vocabulary, c.worth)
     return rest, best_terms(where, refused=refused, beyond=(sensor,))
 
 
 def refused_by(c: Climb) -> set[str]:
-    """Formulas that were on trial, or are."""
+    """Formulas that were tried, or are in the model."""
     return c.dropped | set(c.model.ids) | {t.effect.id for t in c.unnamed}
 
 
 def late_ones(effects: Sequence[Effect]) -> frozenset[str]:
-    """Those by which readings of whatever sensor come late or early."""
+    """Ids of the effects that make readings of any sensor late or early."""
     alike = {i for e in catalogue().values() if e.akin for i in (e.id, *e.akin)}
     return frozenset(e.id for e in effects if e.lateness or e.id in alike)
 
@@ -233,9 +233,11 @@ def late_ones(effects: Sequence[Effect]) -> frozenset[str]:
 def with_term(
     model: Model, term: Term, worth: float, refused: Set[str], than: Model | None = None
 ) -> Model:
-    """The model with a term, and with what a scan about that would have besides: of what noise
-    held, part may have a name (a gain that drifts is a scale error too). refused: names; than: a
-    model that it should be likelier than."""
+    """The model with a term, and with further effects that a scan about that fit chooses: the term
+    may replace noise that also held a named error (a drifting gain has a mean scale error).
+
+    refused: names to leave out. than: a model to exceed, or the fit may stop early.
+    """
     wanted = (*model.effects, term.effect)
     alone = fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))
     if not (sensible(alone) and math.isfinite(alone.log_evidence)):
@@ -243,7 +245,7 @@ def with_term(
     where = scanned_about(alone.bare, [term], refused)
     chosen = best_set(where, alone.chosen)
     promised = where.score(chosen) - where.score(alone.chosen)
-    # (without the term it is a fit that other steps ask for)
+    # (sets without the term belong to other steps)
     same = chosen == alone.chosen or term.effect.id not in chosen
     far = than is not None and better(alone, than, worth) + promised < -HOPELESS
     if same or far:

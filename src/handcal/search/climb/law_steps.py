@@ -1,5 +1,5 @@
-"""Steps of a climb about laws without a name: find one, choose its form again, adjust its numbers,
-put it on fewer axes."""
+"""Steps of a climb for laws without a name: find one, change its form, adjust its numbers, use
+fewer axes."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ from handcal.search.climb.in_place import (
 from handcal.search.climb.state import Climb, best_of, forget, in_time, likelier
 from handcal.search.climb.subset_steps import choose
 
-# Terms without a name at the most, and of those that were on trial.
+# Largest count of terms in a model, and of terms tried.
 MAX_TERMS, MAX_TRIED = 3, 6
-# What is known of a law and of a name goes together so far that one may be part of the other.
+# Correlation of a law's and a name's parameters from which one may be part of the other.
 MIXED = 0.5
 
 
 def name_term(c: Climb) -> Model | None:
-    """The model with a term without a name in the place of its noise effects, which hide
-    whatever has no name, or beside them; or as it is chosen anew with a further term on trial."""
+    """The model with a new law in place of noise (which absorbs laws) or beside it, or else the
+    best set of effects with a further term among the candidates."""
     if not _room(c):
         return None
     tried = instead_of_noise(c, _room(c))
@@ -56,23 +56,24 @@ def name_term(c: Climb) -> Model | None:
             break
         c.unnamed.append(term)
         c.visited.clear()
-        c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
+        c.stale |= set(c.noise)  # (gains of noise effects were measured without the term)
         c.where = scanned(c)
         tried = choose(c)
     return tried
 
 
 def _room(c: Climb) -> int:
-    """How many terms more there may be."""
+    """How many more terms the model may have."""
     there = sum(t.effect.id in c.model.ids for t in c.unnamed)
     return max(min(MAX_TERMS - there, MAX_TRIED - len(c.unnamed)), 0)
 
 
 def rename(c: Climb) -> Model | None:
-    """The model with another law in the place of one and of names or laws that may be there for its
-    sake only. (A law that is a name beside another law to the first order is found as that: a cubic
-    error as a scale error and what bends off it. And one that is found as another that resembles it
-    leaves a third to be found.)"""
+    """The model with one law in place of a law and of names or laws that may only complement it.
+
+    (A cubic error may be found first as a scale error and a law for the rest. A law found as a
+    similar one leaves a third to be found.)
+    """
     ways: dict[Way, tuple[Model, Term]] = {}
     for term in c.unnamed:
         for ids in c.budget.each(_beside(c, term)):
@@ -86,11 +87,12 @@ def rename(c: Climb) -> Model | None:
 
 
 def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
-    """A law with names of its sensor, with delays, by which the errors of all sensors are late or
-    early, and with both; and with the other laws of its sensor, without and with these names; as
-    far as the recordings hardly tell them from the law, or they are steps, whose moment is free.
-    Last with all that has no name on its sensor: what is left beside a law may be so because it is
-    another one."""
+    """Sets of effects to replace together with a law.
+
+    They are: names of its sensor; delays; both; other laws of its sensor, without and with these
+    names. Only effects correlated with the law by more than ``MIXED`` count, and steps, whose
+    moment is free. Last come all laws and noise of the sensor.
+    """
     sensor = sensor_of(term)
     if term.effect.id not in c.model.ids or not sensor:
         return []
@@ -113,10 +115,10 @@ def _nameless(c: Climb, sensor: str) -> frozenset[str]:
 
 
 def instead_of_travel(c: Climb) -> Model | None:
-    """The model with a law with which the point is held that sways as no hand does without it.
+    """The model with a law that reduces the held point's sway to that of a hand.
 
-    (Integrated twice, a force that is wrong leads away from any point as a hand does that travels,
-    and its sway takes on whatever there is: no noise of the sensors asks for a law.)
+    (A force error, integrated twice, looks like travel. The wide sway absorbs it, so that no sensor
+    noise is left to be replaced by a law.)
     """
     key = frozenset(c.model.ids)
     if key in c.travelled or not _room(c) or not any(map(travels, c.model.parts)):
@@ -130,7 +132,7 @@ def instead_of_travel(c: Climb) -> Model | None:
 
 
 def _correlation(model: Model, one: str, other: str) -> float:
-    """The largest of what is known of a parameter of one effect and one of the other."""
+    """The largest correlation between a parameter of one effect and one of the other."""
     own = [[k for k, n in enumerate(model.quadratic.names) if n[0] == i] for i in (one, other)]
     sigma = np.sqrt(np.diag(model.covariance))
     both = np.abs(model.covariance[np.ix_(*own)]) / np.outer(sigma[own[0]], sigma[own[1]])
@@ -138,7 +140,7 @@ def _correlation(model: Model, one: str, other: str) -> float:
 
 
 def reshape(c: Climb) -> Model | None:
-    """A law, or a course over time or direction, chosen again."""
+    """The model with a law or course chosen again from the whole vocabulary."""
     new = set(c.model.ids) - c.shaped
     if not any(t.effect.id in new for t in c.unnamed):
         return None
@@ -146,8 +148,8 @@ def reshape(c: Climb) -> Model | None:
 
 
 def adjust(c: Climb) -> Model | None:
-    """The model with a law's numbers (a time, a width) as the recordings ask for them, step by step
-    as far as they do."""
+    """The model with a law's numbers (a time, a width) adjusted step by step while the score
+    rises."""
     for i, term in enumerate(c.unnamed):
         model, effect = c.model, term.effect
         while effect.id in model.ids and effect.id not in c.adjusted and not c.budget.cuts():
@@ -163,7 +165,7 @@ def adjust(c: Climb) -> Model | None:
             c.unnamed[i] = replace(term, effect=effect)
             c.shaped.add(effect.id)
             law = law_of(effect)
-            # (one of a sum may have made up for numbers that were not right yet)
+            # (a function of a sum may have compensated wrong numbers, so ``narrow`` tries again)
             if law is None or not list(shorter(law.form)):
                 c.whole.add(effect.id)
             return model
@@ -171,8 +173,8 @@ def adjust(c: Climb) -> Model | None:
 
 
 def take_in(c: Climb) -> Model | None:
-    """The model with a law of how much a signal is felt that holds what is always felt of it, in
-    the place of that law and of a name of its sensor that may be there for that."""
+    """The model with a level added to a law of varying sensitivity, in place of that law and of a
+    name of its sensor that may have held the level."""
     ways: list[tuple[int, str, Effect]] = []
     for i, term in enumerate(c.unnamed):
         whole = _with_level(c, term.effect) if term.effect.id in c.model.ids else None
@@ -192,7 +194,8 @@ def take_in(c: Climb) -> Model | None:
 
 
 def _with_level(c: Climb, effect: Effect) -> Effect | None:
-    """A law of how much a signal is felt, with what is always felt of it; None if it is none."""
+    """A law of varying sensitivity to a signal, with a constant level added; None for other laws,
+    or if it has one."""
     law = law_of(effect)
     if law is None or law.driver.factor is None or law.form.smooth or LEVEL in law.form.parts:
         return None
@@ -207,9 +210,9 @@ def _taken_in(model: Model, law: Effect, name: str, whole: Effect) -> Model:
 
 
 def narrow(c: Climb) -> Model | None:
-    """The model with a law on fewer axes, or with one function of its sum or one signal of its
-    product left out, if it does not miss what it adds least: far from where a law is large a scan
-    cannot tell what it adds there."""
+    """The model with a law on one axis less, or without one function of its sum or one signal of
+    its product, if that is likelier. (Decided by fits, since a scan is not accurate where a law is
+    large.)"""
     for i, term in enumerate(c.unnamed):
         old = term.effect
         if old.id not in c.model.ids or old.id in c.whole:
@@ -227,8 +230,8 @@ def narrow(c: Climb) -> Model | None:
 
 
 def _narrower(c: Climb, effect: Effect) -> list[Law]:
-    """The law without the axis on which it adds least; where it is a sum, without each of its
-    functions; and where it is over a product, without each of its signals."""
+    """Narrower versions of a law: without its weakest axis, without each function of a sum, and
+    over each single signal of a product."""
     law, model = law_of(effect), c.model
     if law is None:
         return []

@@ -1,4 +1,4 @@
-"""Steps of a climb that add a noise effect, and that put names in the place of one."""
+"""Steps of a climb that add a noise effect, or replace one by names."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from handcal.search.space import best_set
 
 
 def add_noise(c: Climb) -> Model | None:
-    """The model with the noise effect that gains most, if one does; or the same fitted anew, if
-    that was what the noise effect gained by."""
+    """The model with the best noise effect, if it raises the score; or the same effects fitted
+    again, if the gain came from the new fit alone."""
     model, worth = c.model, c.worth
     have = {*model.ids, *c.dropped}
     looks = looks_of(model.parts, model.effects, [e for e in all_noise() if e.id not in have], FEW)
@@ -47,8 +47,8 @@ def add_noise(c: Climb) -> Model | None:
 
 
 def noise_or_step(c: Climb) -> Model | None:
-    """The model with a noise effect, where the scan would have a step and noise is likelier: about
-    a step that stands in for a walk no walk shows."""
+    """The model with a noise effect, if the scan chooses a step and noise is likelier: a step can
+    imitate a bias walk, and hides it."""
     chosen = favourite(c)
     if not any(name_of(i) != i for i in chosen - c.model.chosen):
         return None
@@ -63,11 +63,11 @@ def noise_or_step(c: Climb) -> Model | None:
 
 
 def name_noise(c: Climb) -> Model | None:
-    """The model with what happened at one moment in the place of a noise effect, if that is
+    """The model with effects that include a step at a moment in place of a noise effect, if that is
     likelier.
 
-    (Beside the wrong moment everything else is wrong as well, and no other moment shows about such
-    a fit. Noise brings the trajectory near to what it was: about that one it does.)
+    (A fit with a wrong moment hides the right one. Noise brings the trajectory close to the truth,
+    and a scan about it shows the moment.)
     """
     key = frozenset(c.model.ids)
     if key in c.unmasked:
@@ -83,7 +83,7 @@ def name_noise(c: Climb) -> Model | None:
         if tried is not None and likelier(c, tried):
             ends.append(tried)
         else:
-            # (where no moment is asked for, all that the noise holds is missing)
+            # (without a candidate, the loss is all that the noise gained)
             held = c.noise.get(e.id, HOPELESS)
             fell_short(c, what, held if tried is None else better(c.model, tried, c.worth))
     if not ends:
@@ -94,8 +94,8 @@ def name_noise(c: Climb) -> Model | None:
 
 
 def _at_a_moment(c: Climb, model: Model) -> Model | None:
-    """The model with more of the catalogue's effects, one at a moment among them, which is sought
-    from scan to scan; None where a scan wants none."""
+    """The model with more effects of the catalogue, one a step whose moment is refined from scan to
+    scan; None if the first scan chooses no step."""
     best: Model | None = None
     for _ in c.budget.each(range(MOMENTS)):
         where = scanned_about(model, c.unnamed, c.dropped | c.beyond)

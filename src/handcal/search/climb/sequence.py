@@ -1,4 +1,4 @@
-"""The turns of a climb: its steps in their order, and where it ends."""
+"""The turns of a climb: the order of its steps, and its end."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from handcal.search.climb.state import SAME_FIT, Climb, Report, beaten
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
 
-# Turns of a climb at the most, beside two for each term that may be named. (Every step raises the
-# score, so a climb ends by itself; where it was cut off after 14, what stood in for a law stayed.)
+# Largest count of turns, beside two for each term. It is a safeguard: every step raises the score,
+# so that a climb ends by itself.
 ROUNDS = 24
 
 
 def climbed(c: Climb, report: Report) -> bool:
-    """Climb as far as it goes; False where that would begin without the terms needed."""
+    """Climb until no step helps; False if the first scan does not choose all needed terms."""
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn), c.model)
         c.where = scanned(c)
@@ -40,13 +40,13 @@ def climbed(c: Climb, report: Report) -> bool:
         if not _moved(c):
             break
     else:
-        # (out of turns: what is said of the model is said by a scan about it)
+        # (out of turns: the result needs a scan about the last model)
         c.where = scanned(c)
     return True
 
 
 def _moved(c: Climb) -> bool:
-    """Take the first step that leads anywhere; False where none does."""
+    """Take the first step that returns a model; False if none does."""
     model = next((m for step in _STEPS if (m := _taken(c, step)) is not None), None)
     if model is not None:
         c.model = model
@@ -54,7 +54,7 @@ def _moved(c: Climb) -> bool:
 
 
 def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
-    """Where a step leads, if there is time for it."""
+    """The model that a step returns, if the budget allows it and it is not known to be useless."""
     if step in _LAWS:
         c.named = c.named or c.model
         last = c.fruitless.get(_beside(c, step), -math.inf)
@@ -71,12 +71,12 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
 
 
 def _beside(c: Climb, step: Callable[[Climb], Model | None]) -> tuple[str, frozenset[str]]:
-    """A step, and the effects beside which it is taken."""
+    """The key of ``fruitless``: a step and the ids of the model's effects."""
     return step.__name__, frozenset(c.model.ids)
 
 
-# The cheap ones first; nothing is taken away or left without a name before all else rests.
-# Each with what is left untried where there is no time for it.
+# The steps in their order, the cheap ones first, each with the words for what is left untried
+# without it. The search for new laws comes last, after names and noise have settled.
 _STEPS: dict[Callable[[Climb], Model | None], str] = {
     everything: "the fit of all effects at once",
     noise_or_step: "noise in the place of steps",
@@ -95,5 +95,5 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     instead_of_travel: "laws in the place of a hand that travels",
     rename: "laws in the place of laws and names",
 }
-# Those that look for laws, and take most of the time.
+# Steps that search for laws, which take most of the time.
 _LAWS = name_term, instead_of_travel, rename

@@ -1,4 +1,4 @@
-"""What the steps of a climb hand on to each other, and when a model counts as likelier."""
+"""The state that the steps of a climb share, and the test of whether a model is likelier."""
 
 from __future__ import annotations
 
@@ -18,26 +18,29 @@ from handcal.search.space import Space
 
 T = TypeVar("T")
 W = TypeVar("W")
-# Called with the share that is done, and the model there is.
+# Called with the share that is done, and the present model.
 Report = Callable[[float, Model], None]
-# Nats below which an effect may be there for the sake of another's wrong name only.
+# Gain below which an effect may only compensate another's wrong name, nats.
 WEAK = 100.0
-# Nats less, by a scan, for each name that goes, with which no fit is the better one (but of what is
-# the same to the first order): of 76 rivals that promised to lose 60 or more, none lost under 36.
+# Loss in a scan from which a fit is not tried, nats: of 76 rivals with a scanned loss of 60 or
+# more, none lost less than 36 in a fit. Effects that are equal to first order are exempt.
 HOPELESS = 100.0
-# How many of the weakest are fitted without.
+# Largest count of candidates in one step.
 FEW = 3
-# Share of the nats by which something fell short, below which what a model's score has changed by
-# since cannot have made it the better one.
+# Change of the model's score, as a share of the nats by which a trial failed, after which the trial
+# is repeated.
 SINCE = 0.5
-# Nats to which two climbs that end with the same effects end with the same fit.
+# Difference of evidence below which two fits of the same effects count as the same, nats.
 SAME_FIT = 1.0
 
 
 @dataclass(frozen=True)
 class Barred:
-    """Effects of one sensor in whose place no law was likelier: all that a law of it has to do
-    with, the nats that the doubted ones of them held, and by how many the best law fell short."""
+    """A failed search for a law of one sensor.
+
+    own: effects that a law of it could replace or change. held: nats that the doubted ones held.
+    short: nats by which the best law failed.
+    """
 
     own: frozenset[str]
     held: float
@@ -46,7 +49,8 @@ class Barred:
 
 @dataclass(frozen=True)
 class Vain:
-    """What fell short by so many nats, beside a model of this log-evidence and log prior odds."""
+    """A failed trial: the log-evidence and log prior odds of the model, and the nats by which the
+    trial scored below it."""
 
     evidence: float
     prior: float
@@ -55,19 +59,22 @@ class Vain:
 
 @dataclass
 class Climb:
-    """A model on its way up, and what was tried.
+    """The present model of a climb, and the record of what was tried.
 
-    needed: terms without which the climb is of no use. where: the last scan; alone: what the
-    catalogue's effects gained in the first one; noise: log-evidence gained by each noise effect in
-    the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
-    which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
-    which no fit holds; beyond: of what came out larger than makes sense beside the same others.
-    everything: all were fitted at once; survey: of what has no name, beside the last model that was
-    asked; vocabulary: blocks of laws of the recordings, as far as they were asked for. barred: by
-    sensor, what came of laws in the place of its doubted effects. rival: the model with which
-    another climb, from another start, began to look for laws; named: that of this one. vain: what
-    was fitted in vain; fruitless: steps that led nowhere, each with the effects of the model, and
-    its log-evidence, in whichever climb of a search.
+    needed: terms that the first scan must choose. kept: ids of the first model, which nothing takes
+    the place of. unnamed: terms so far. where: the last scan. alone: gains of the catalogue's
+    effects in the first scan. noise: gain of each noise effect of the model, nats; stale: those out
+    of date. swaps: (effect, rival) to the nats lost with the rival fitted instead. dropped: names
+    that were removed, or made a fit fail; beyond: names that came out implausibly large beside the
+    present effects. everything: whether all effects were fitted at once. survey: of laws, beside
+    the last model that needed one; vocabulary: courses of drivers, filled on demand. barred: failed
+    searches for laws, by sensor. named: the model before this climb's search for laws; rival: that
+    of another climb. vain: failed trials. fruitless: steps of law search that failed, with the ids
+    of the model, to its log-evidence; shared by all climbs.
+
+    Tried already: visited, refused: sets of effects. ordered: (filter, ids of the model). bared,
+    travelled, unmasked: ids of models, in the search for laws, instead of travel, and of moments.
+    shaped, whole, adjusted: laws, in ``reshape``, ``narrow`` and ``adjust``. taken_in: (name, law).
     """
 
     model: Model
@@ -105,24 +112,24 @@ class Climb:
 
     @property
     def worth(self) -> float:
-        """What evidence counts for, at the last scan."""
+        """Power of the likelihood at the last scan."""
         return self.where.quadratic.worth
 
 
 def part_of(report: Report, start: float, share: float, f: float, model: Model) -> None:
-    """Report a part of a whole that begins at this share of it and is so large."""
+    """Report share ``f`` of a part of the whole that begins at ``start`` and has size ``share``."""
     report(start + share * f, model)
 
 
 def in_time(c: Climb, calls: Iterable[Callable[[], T]], ways: Iterable[W]) -> Iterator[tuple[T, W]]:
-    """What these calls return, two at a time, each with what it is of; those for which there is
-    time."""
+    """Results of these calls, each with its item of ``ways``, two at a time, as far as the budget
+    allows."""
     return zip(in_parallel(c.budget.each(calls)), ways, strict=False)
 
 
 def beaten(c: Climb) -> bool:
-    """Whether another climb was much further when it began to look for laws, or had come to the
-    same: what laws there are it has found."""
+    """Whether another climb started its search for laws from a much better model, or from the same
+    effects, so that this climb need not search for laws."""
     if c.rival is None or c.named is None:
         return False
     ahead = better(c.named, c.rival, c.worth)
@@ -130,27 +137,26 @@ def beaten(c: Climb) -> bool:
 
 
 def likelier(c: Climb, tried: Model, than: Model | None = None) -> bool:
-    """Whether a model's score is above that of the one there is, or of another; what no device has
-    is no fit. (Of a fit that does not settle, evidence may be that of the best of its rounds by
-    chance.)"""
+    """Whether a model has plausible parameters and a higher score than ``than`` (None: the climb's
+    model). A fit that does not settle must gain more than its evidence swings by."""
     gain = better(tried, c.model if than is None else than, c.worth)
     return sensible(tried) and gain > c.worth * tried.swing
 
 
 def best_of(c: Climb, ends: Iterable[tuple[Model, W]]) -> tuple[Model, W] | None:
-    """Of fits, each with what it is of, the best of those that are likelier than the model there
-    is; None where none is."""
+    """The fit, with its item, of the highest score among those that beat the climb's model; None if
+    none does."""
     able = [end for end in ends if likelier(c, end[0])]
     return max(able, key=lambda end: score(end[0], c.worth), default=None)
 
 
 def sensible(model: Model) -> bool:
-    """Whether no parameter is larger than makes sense, or negative where that makes none."""
+    """Whether all parameters have plausible sizes and signs."""
     return model.one_sided and not too_large(model)
 
 
 def too_large(model: Model) -> set[str]:
-    """Names of the effects of which a parameter is larger than makes sense."""
+    """Names of the effects with an implausibly large parameter."""
     known = {(e.id, p.name): p for e in model.effects for p in e.parameters}
     return {
         name_of(n[0])
@@ -160,7 +166,7 @@ def too_large(model: Model) -> set[str]:
 
 
 def forget(c: Climb, model: Model) -> None:
-    """Let what was weighed beside effects that are gone be weighed anew."""
+    """Discard results that were measured beside effects that the new model lacks."""
     c.noise = {i: v for i, v in c.noise.items() if i in model.ids}
     c.visited.clear()
     beside_others(c, model)
@@ -168,15 +174,15 @@ def forget(c: Climb, model: Model) -> None:
 
 
 def fell_short(c: Climb, what: tuple[str, ...], short: float) -> None:
-    """Note that something was fitted in vain beside the model there is. (By how much, is not known
-    of what diverged or came out where it cannot be.)"""
+    """Record a failed trial beside the climb's model, and by how many nats it failed. (An infinite
+    loss, of a fit that diverged or has an implausible sign, is recorded as ``HOPELESS``.)"""
     short = short if math.isfinite(short) else HOPELESS
     c.vain[what] = Vain(c.model.log_evidence, _odds(c.model), short)
 
 
 def in_vain(c: Climb, what: tuple[str, ...], model: Model | None = None) -> bool:
-    """Whether something fell short by so much that it is no better beside this model, or the one
-    there is: whatever has changed since has changed the score by less."""
+    """Whether a failed trial would fail again beside this model (None: the climb's model): the
+    model's score has changed by much less since than the trial failed by."""
     last, model = c.vain.get(what), c.model if model is None else model
     if last is None:
         return False
@@ -185,8 +191,7 @@ def in_vain(c: Climb, what: tuple[str, ...], model: Model | None = None) -> bool
 
 
 def beside_others(c: Climb, model: Model) -> None:
-    """Let go what holds beside the same others only, now that the model is another: the exchanges
-    that were near enough for that."""
+    """Discard results of exchanges that may differ beside the new model."""
     there = set(model.ids)
     c.swaps = {
         pair: worse

@@ -1,5 +1,5 @@
-"""Steps of a climb that choose the set of effects: those that the scan likes best are fitted, one
-that is not missed is left out."""
+"""Steps of a climb that choose the set of effects: fit the best set of a scan, or remove a weak
+effect."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from handcal.search.climb.state import (
 )
 from handcal.search.space import Space, best_set, gains
 
-# An effect whose gain is less than this is fitted without, to be sure.
+# Gain below which removal of an effect is tested by a fit, nats.
 CLOSE = 20.0
 
 
 def choose(c: Climb) -> Model | None:
-    """The effects that the scan likes best, fitted, if such a fit holds; where one of them came out
-    larger than makes sense, those that it likes best without that one."""
+    """The fit of the best set of the scan, if it raises the score. If one of its effects comes out
+    implausibly large, the best set without that effect is fitted."""
     now = c.model.chosen
     for _ in c.budget.each(range(FEW)):
         chosen, known = favourite(c), len(c.beyond)
@@ -54,12 +54,11 @@ def choose(c: Climb) -> Model | None:
 
 
 def everything(c: Climb) -> Model | None:
-    """The best set of effects about a fit of all that the recordings could show, where more than
-    one step of ``choose`` is needed.
+    """The best set of effects about a fit of all candidates, tried once, if the scan adds effects
+    to a model that already has some.
 
-    About a model that lacks much, noise levels hold what is missing and each effect is judged by
-    what others left; about one that lacks nothing, each is judged for what it is. What is not there
-    costs a fit little: priors keep it near zero.
+    About a model that lacks much, noise absorbs missing effects, and a scan is distorted. About a
+    fit of all it is not. Absent effects do little harm there, since priors keep them near zero.
     """
     now = {name_of(i) for i in c.model.chosen}
     more = {name_of(i) for i in favourite(c)} - now
@@ -67,9 +66,9 @@ def everything(c: Climb) -> Model | None:
         return None
     c.everything = True
     names = {name_of(i) for i in c.model.ids} | c.dropped | c.beyond
-    # (no steps, whose moment is open, and no laws)
+    # (without steps, whose moment is unknown, and laws)
     others = [e for i, e in c.where.effects.items() if i in catalogue() and i not in names]
-    # (no two problems of this size beside each other, linearised)
+    # (frees memory: two linearised problems of this size would be too large)
     c.model = c.model.bare
     whole = fitted(c.model.parts, [*c.model.effects, *others])
     where = scanned_about(whole.bare, c.unnamed, c.dropped | c.beyond)
@@ -81,21 +80,21 @@ def everything(c: Climb) -> Model | None:
 
 
 def favourite(c: Climb) -> frozenset[str]:
-    """The set of effects that the last scan likes best."""
+    """The set of effects with the highest score in the last scan."""
     starts = (c.model.chosen, ())
     return max((best_set(c.where, start) for start in starts), key=c.where.score)
 
 
 def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
-    """Whether only a moment would move, for less than a nat."""
+    """Whether two sets differ only in moments, with a gain below 1 nat."""
     if {name_of(i) for i in now} != {name_of(i) for i in chosen}:
         return False
     return where.score(chosen) - where.score(now) < 1.0
 
 
 def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
-    """The model with the chosen effects, or with the best of those added, if such a fit is
-    likelier than the one there is; an effect with which no fit holds is not looked at again."""
+    """The fit of the chosen effects, or of the best single addition, if it raises the score. An
+    effect that makes the fit much worse is dropped."""
     now = c.model.chosen
     for wanted in (chosen, *_singles(c.where, now, chosen)):
         if wanted in c.refused:
@@ -109,7 +108,7 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
             c.beyond |= large
             return None
         if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - GAINED:
-            # (what is there at another moment is not dropped)
+            # (a step that the model has at another moment is not dropped)
             c.dropped |= {name_of(i) for i in wanted - now} - there
     return None
 
@@ -120,10 +119,9 @@ def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[
 
 
 def thin(c: Climb) -> Model | None:
-    """The model without an effect that it does not miss when all else is fitted again.
+    """The model without one of its weakest effects, if a fit without it has the higher score.
 
-    What an effect gains counts for less where its own scores scatter more than the evidence as a
-    whole is discounted for.
+    The gain of an effect is reduced if its own scores scatter more than the evidence as a whole.
     """
     model, where = c.model, c.where
     gained = gains(where, model.chosen)
@@ -142,7 +140,7 @@ def thin(c: Climb) -> Model | None:
     more = inflation(model) if tried else {}
     for without, e in in_time(c, calls, tried):
         gain = better(model, without, c.worth)
-        if not math.isfinite(gain):  # (no fit holds without it, which says nothing of how much)
+        if not math.isfinite(gain):  # (the fit without it diverged: its gain is unknown)
             c.stale.discard(e.id)
             continue
         if e.process is not None:
