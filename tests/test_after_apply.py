@@ -49,7 +49,7 @@ def explained(path: Path) -> tuple[str, set[str]]:
 
 def taken_off(said: str) -> set[str]:
     """The effects that `apply` says it took off."""
-    return set(said.split(" taken off ")[0].rsplit(": ", 1)[-1].split(", "))
+    return set(said.split(" removed from ")[0].rsplit(": ", 1)[-1].split(", "))
 
 
 @pytest.mark.parametrize("number", range(len(SIMULATED)))

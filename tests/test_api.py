@@ -82,8 +82,8 @@ def test_a_heading_that_says_nothing_is_doubted() -> None:
     ):
         said = judge.verdict(doubted)
         assert said.level == "partly"
-        assert any("heading says nothing" in s for s in said.sentences)
-        assert not any("heading says nothing" in s for s in judge.verdict(sure).sentences)
+        assert any("heading carries no information" in s for s in said.sentences)
+        assert not any("heading carries no information" in s for s in judge.verdict(sure).sentences)
 
 
 def test_a_calibration_is_that_of_the_command_and_shows_itself(

@@ -284,10 +284,10 @@ def test_command(plain, tmp_path, main):
     found = written(tmp_path / "x.json", [*SCALE, *arm], unnamed=[term])
     status, shown, said = main(source, "--from", found, "-o", out)
     assert status == 0
-    assert "gyro_scale taken off a.mcap" in shown
+    assert "gyro_scale removed from a.mcap" in shown
     assert said == (
-        "handcal: Left as it is: lever_arm (no error of a sensor); "
-        "accel_x += k * omega_y (the model has no law of it).\n"
+        "handcal: Not removed: lever_arm (no error of a sensor); "
+        "accel_x += k * omega_y (the model has no law for it).\n"
     )
     read = handcal.load(out)
     np.testing.assert_allclose(read.imu.gyro, plain.imu.gyro / 1.01, rtol=1e-5, atol=1e-9)
@@ -310,7 +310,11 @@ def test_command_refuses(plain, tmp_path, main):
     arm = [{"effect": "lever_arm", "name": n, "value": 0.01} for n in "xyz"]
     nothing, found = written(tmp_path / "n.json", arm), written(tmp_path / "x.json", SCALE)
     for arguments, status, says in (
-        ((source, "--from", nothing, "-o", out), 1, "has nothing that could be taken off a.mcap"),
+        (
+            (source, "--from", nothing, "-o", out),
+            1,
+            "no error that could be removed from a.mcap",
+        ),
         ((source, "--from", source, "-o", out), 2, "is not JSON"),
         ((source, "--from", found, "-o", source), 2, "is what is read"),
         ((source, "--from", found, "-o", out.with_suffix(".db3")), 2, "ends in .mcap"),
@@ -374,5 +378,5 @@ def test_what_was_shown_but_not_found_is_taken_off_and_said(plain, tmp_path, mai
     own = [*SCALE, *({**p, "effect": "accel_scale"} for p in SCALE)]
     found = written(tmp_path / "x.json", own, missing=[{"effect": "gyro_scale"}])
     status, shown, said = main(source, "--from", found, "-o", out)
-    assert (status, "gyro_scale, accel_scale taken off" in shown) == (0, True)
+    assert (status, "gyro_scale, accel_scale removed from" in shown) == (0, True)
     assert "not found: accel_scale." in said

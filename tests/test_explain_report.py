@@ -325,10 +325,10 @@ def test_where_nothing_was_added_there_is_one_model(monkeypatch):
     e, figures = fake_explanation("nothing_missing"), drawn("nothing_missing")
     monkeypatch.setattr(plots, "draw", lambda _: figures)
     html, text = render_explanation(e), printed(e)
-    for word in ("Baseline", "Final model", "Before and after", "has not seen"):
+    for word in ("Baseline", "Final model", "Before and after", "held-out data"):
         assert word not in html
     assert "Before and after" not in text
-    assert "unseen data" not in text
+    assert "held-out data" not in text
     quiet = {c: 0.0 * s for c, s in e.recordings[0].shortfall.items()}
     e = replace(e, recordings=(replace(e.recordings[0], shortfall=quiet),))
     assert plots.heat_plot(e, 0) is None
@@ -672,7 +672,7 @@ def test_a_law_that_was_found_is_not_called_shown_but_not_found() -> None:
     formula = e.unnamed[0].formula
     rows = [Parameter(i, "k", 0.1, 0.001, "1", 0.1, None) for i in (formula, "accel_scale")]
     (said,) = [x for x in printed(replace(e, parameters=tuple(rows)), 2000).splitlines()
-               if "though not found" in x]  # fmt: skip
+               if "but not found" in x]  # fmt: skip
     assert "accelerometer scale" in said
     assert formula not in said
 

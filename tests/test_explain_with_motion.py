@@ -188,5 +188,5 @@ def test_nothing_is_written_of_what_is_no_law(
     )
     assert list(tmp_path.iterdir()) == []
     said = capsys.readouterr().err
-    assert "is no law" in said
+    assert "not a law" in said
     assert "x.py is not written" in said

@@ -142,8 +142,8 @@ def test_a_law_of_the_heading_is_taken_off(turns, tmp_path):
 def test_every_command_takes_it_from_the_json_alone(folder):
     source, laws, out = folder / "turns.mcap", folder / "laws.json", folder / "out.mcap"
     said = run("apply", source, "--from", laws, "--biases", "-o", out)
-    assert f"gyro_bias, accel_bias, {CUBE.id}, {BUMP.id} taken off" in said
-    assert f"Laws without a name that are taken off, {CUBE.id}: gyro " in said
+    assert f"gyro_bias, accel_bias, {CUBE.id}, {BUMP.id} removed from" in said
+    assert f"Laws without a name that were removed: {CUBE.id}: gyro " in said
     run("conceal", source, "--from", laws, "--effect", "gyro_scale=0.1,0,0", "--seed", 0, "-o", out)
     same = hc.conceal(source, {"gyro_scale": [0.1, 0, 0]}, learnt=laws)
     np.testing.assert_array_equal(hc.read(out).imu.gyro, same.imu.gyro)

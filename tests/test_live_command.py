@@ -25,7 +25,7 @@ from handcal_sim import simulate, write
     ("typed", "why"),
     [
         (["--phyphox", "127.0.0.1:9", "--follow", "x.mcap"], "one source at a time"),
-        (["--plain"], "--plain is for --lan"),
+        (["--plain"], "--plain needs --lan"),
         (["--phyphox", "127.0.0.1:9"], "remote access"),
         (["--foxglove", "127.0.0.1:9"], "No Foxglove WebSocket"),
         (["--until", "gyro_scale=5"], None),
@@ -36,7 +36,7 @@ from handcal_sim import simulate, write
 )
 def test_what_does_not_go_together_is_said(monkeypatch, capsys, tmp_path, typed, why):
     if why is None:  # (it may be wanted so: nothing is said, and the next thing is wrong)
-        typed, why = [*typed, "--plain"], "--plain is for --lan"
+        typed, why = [*typed, "--plain"], "--plain needs --lan"
     status, _, said = command(monkeypatch, capsys, "live", "--out", tmp_path / "out", *typed)
     assert status == 2
     assert why in said

@@ -146,7 +146,7 @@ def test_a_gradient_needs_a_place() -> None:
         assert applicable(case, step)
     bare = replace(mag, streams={})
     assert not applicable(case_of(bare, "fixed-point"), gradient)
-    with pytest.raises(InputError, match="depends on where the device is"):
+    with pytest.raises(InputError, match="depends on the position of the device"):
         calibrate(mag, ["mag_gradient"], assume="rest-only")
 
 

@@ -313,8 +313,8 @@ def two_models(tmp_path):
     [
         (None, True, None, "holds priors of A, B: say which"),
         (None, True, "C", "has no model 'C'"),
-        (None, False, "A", "--model says which model of --priors"),
-        ("phone.toml", True, "A", "name one of them"),
+        (None, False, "A", "give --priors FILE"),
+        ("phone.toml", True, "A", "give one of them"),
     ],
 )
 def test_what_is_begun_with_has_to_be_clear(tmp_path, device, priors, model, said):

@@ -170,7 +170,7 @@ def test_the_verdict_says_what_was_learnt_and_what_was_not():
     partly = verdict_text.verdict(fake_result())
     assert (partly.level, partly.headline) == (
         "partly",
-        "12 of 13 parameters were learnt from this motion.",
+        "This motion determined 12 of 13 parameters.",
     )
     doubtful = verdict_text.verdict(fake_result(extra=False, overconfident=True))
     assert doubtful.level == "partly"
@@ -219,7 +219,9 @@ def test_where_hardly_anything_is_shown_the_first_line_says_what_to_do():
 def test_a_sigma_beyond_the_usual_size_is_explained_and_not_clipped():
     parameters = fake_result(hidden=True).parameters
     wide = [p for p in parameters if p.sigma > p.prior_sigma]
-    assert not any("beyond the usual" in s for s in shown.under_table(*shown.in_front(parameters)))
+    assert not any(
+        "larger than the usual" in s for s in shown.under_table(*shown.in_front(parameters))
+    )
     said = shown.under_table(*shown.in_front(parameters, ["gyro_g_sensitivity"]))[-1]
     assert all(words.parameter_title(p) in said for p in wide)
     figure = sizes(wide)

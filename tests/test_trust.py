@@ -104,8 +104,8 @@ def blind():
     return replace(e, recordings=(one,))
 
 
-STRAYS = "In the final fit the held point strays by 7 m: nothing that was fitted is to be believed."
-SWAYS = "The point that is held would sway by 0.4 m, which no hand does that stays in one place."
+STRAYS = "In the final fit the held point strays by 7 m: do not use this fit."
+SWAYS = "The held point would sway by 0.4 m, more than that of a hand which stays in one place."
 ONLY = "These sigmas hold only if the device has no errors but its biases."
 # what is wrong; the result; its trust; a part of the reason
 DOUBTS: dict[str, tuple[Callable[[], object], str, str]] = {
@@ -113,7 +113,7 @@ DOUBTS: dict[str, tuple[Callable[[], object], str, str]] = {
     "not converged": (lambda: replace(plain(), settled=False), "doubtful", "still moved after"),
     "search cut short": (
         lambda: replace(found(), untried=("laws", "steps")), "doubtful", "tried: laws, steps."),
-    "strange device": (partial(with_parameter, 0.9), "doubtful", "No device has as much"),
+    "strange device": (partial(with_parameter, 0.9), "doubtful", "Larger than in any real device"),
     "saturated": (blind, "doubtful", "end of its measuring range"),
     "saturated, calibrated": (
         lambda: replace(plain(), recording=unread(plain().recording)), "doubtful", "or not read"),
@@ -126,7 +126,7 @@ DOUBTS: dict[str, tuple[Callable[[], object], str, str]] = {
     "nothing but biases": (lambda: replace(plain(), doubts=(ONLY,)), "doubtful", "sigmas hold"),
     "an estimate that moves": (restless, "doubtful", "in the second half"),
     "noise made up": (louder, "doubtful", "times as large as the readings show"),
-    "a heading that says nothing": (deaf, "doubtful", "The heading says nothing"),
+    "a heading that says nothing": (deaf, "doubtful", "The heading carries no information"),
     "no hand, explained": (lambda: replace(found(), impossible=(STRAYS,)), "none", "strays by 7 m"),
     "no hand, calibrated": (flying, "none", "the held point strays by"),
     "unfit": (

@@ -110,8 +110,8 @@ def broken_off(untried: Sequence[str]) -> str | None:
     if (more := len(untried) - NAMED) > 0:
         some += f" and {more} more"
     return (
-        f"The search ended before all had been tried: {some}. More time (a longer --budget, or "
-        "none) tells whether they change anything."
+        f"The search ended before all had been tried: {some}. Run again with a longer --budget, "
+        "or with none, to see whether they change the result."
     )
 
 

@@ -45,7 +45,10 @@ def of_document(name: str, document: Mapping[str, Any]) -> Trust:
     level, reasons = document.get("trust", GOOD), document.get("trust_reasons", [])
     listed = isinstance(reasons, list) and all(isinstance(r, str) for r in reasons)
     if level not in LEVELS or not listed:
-        raise InputError(f"{name} is damaged: trust is {' or '.join(LEVELS)}, with reasons.")
+        raise InputError(
+            f"{name} is damaged: its trust must be {' or '.join(LEVELS)}, with a "
+            "list of reasons. Make it again."
+        )
     return Trust(level, tuple(reasons))
 
 
@@ -55,8 +58,8 @@ def check(name: str, trust: Trust, anyway: bool) -> None:
     if trust.level == NONE and not anyway:
         why = " ".join(trust.reasons) or "It does not say why."
         raise HandcalError(
-            f"{name} is not to be trusted (trust: none), and nothing is made of it. {why} With "
-            "--anyway it is used all the same."
+            f"{name} is not to be trusted (trust: none), so it is not used. {why} Use it anyway "
+            "with --anyway."
         )
 
 

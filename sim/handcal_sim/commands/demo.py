@@ -25,7 +25,7 @@ def demo(
         Path, typer.Option("--out", metavar="DIR", help="The folder to write to.")
     ] = Path("demo-out"),
     seed: Annotated[
-        int, typer.Option(min=0, help="Another device, another hand, another error.")
+        int, typer.Option(min=0, help="Seed of the simulated device, hand and error.")
     ] = 1,
 ) -> None:
     """Simulate a recording that conceals an error, calibrate, explain, compare with the truth.

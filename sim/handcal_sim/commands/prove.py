@@ -29,19 +29,24 @@ if TYPE_CHECKING:
 def prove(
     n: Annotated[
         int | None,
-        typer.Option("--n", min=1, help="How many recordings (24; a suite's own: its full size)."),
+        typer.Option(
+            "--n",
+            min=1,
+            help="Number of recordings; if not given 24, or the full size of a suite that has one.",
+        ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Same seed, same trial (drawn, and said).")
+        int | None,
+        typer.Option(min=0, help="Same seed, same trial; random and printed if not given."),
     ] = None,
     suite: Annotated[
         str,
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
-            "people, budget, wild, strange, latest (laws of strange that came last), axis, walks, "
-            "ordinary (all errors of a data sheet, short motions), or all (of the first five); "
-            "live: hands that `handcal live` leads, beside hands that it does not; fleet: "
-            "recordings of many devices, given to `handcal fleet`."
+            "people, budget, wild, strange, latest (the newest laws of strange), axis, "
+            "walks, ordinary (all errors of a data sheet, short motions), or all (of the "
+            "first five); live: hands guided by `handcal live`, beside hands without "
+            "guidance; fleet: recordings of many devices, given to `handcal fleet`."
         ),
     ] = ALL,
     out: Annotated[
@@ -51,7 +56,7 @@ def prove(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="The score as JSON.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that explain at a time.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Number of processes that explain.")] = 1,
     effects_from: Annotated[
         Path | None,
         typer.Option(
@@ -64,12 +69,12 @@ def prove(
         str | None,
         typer.Option(
             metavar="HANDCAL",
-            help="Another handcal program (an older version's .venv/bin/handcal): it explains the "
-            "same recordings, and what either gets right alone is counted.",
+            help="Another handcal program (an older version's .venv/bin/handcal): it explains "
+            "the same recordings, and what only one of the two gets right is counted.",
         ),
     ] = None,
 ) -> None:
-    """Conceal random errors in random recordings, explain them blindly, and score that."""
+    """Run a blind trial of explain: conceal random errors in random recordings, explain, score."""
     from handcal.commands._options import say_what_runs
     from handcal.user_effects import effects_from as also
 
@@ -136,9 +141,9 @@ def _check(suite: str, against: str | None) -> None:
     from handcal_sim.prove.suites import SUITES
 
     if against is not None and shutil.which(against) is None:
-        raise InputError(f"--against {against}: there is no such program.")
+        raise InputError(f"--against {against}: there is no such program. Name an executable file.")
     if suite not in (ALL, *SUITES):
-        raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
+        raise InputError(f"--suite {suite}: unknown suite. Known: {', '.join((*SUITES, ALL))}.")
 
 
 def _fleet(

@@ -26,14 +26,15 @@ INTERRUPTED = 130
 def sweep(
     grid: Annotated[
         str,
-        typer.Option(metavar="paper|turns|FILE.toml", help="What to run: paper 002; the same with "
-                     "one turn about each axis beside it; or a grid of your own."),
+        typer.Option(metavar="paper|turns|FILE.toml", help="What to run: paper 002; the same and "
+                     "beside it one turn about each axis; "
+                     "or a grid of your own."),
     ] = PAPER,
     seeds: Annotated[int, typer.Option(min=1, help="Monte Carlo runs per cell.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same result.")] = 0,
     choose_r_h: Annotated[
         bool,
-        typer.Option("--choose-r-h", help="Beside each R_h set by hand, one chosen by evidence."),
+        typer.Option("--choose-r-h", help="Add an R_h chosen by evidence to those set by hand."),
     ] = False,
     settle: Annotated[
         bool,
@@ -46,14 +47,17 @@ def sweep(
                      help="Converged when 20 successive estimates vary by less: deg/h, ug, ppm."),
     ] = "50,500,500",
     executor: Annotated[
-        str, typer.Option(metavar="local|dask://HOST:PORT", help="Where it is computed.")
+        str, typer.Option(metavar="local|dask://HOST:PORT", help="Where to compute: on this "
+                     "machine or on a Dask cluster.")
     ] = "local",
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes, with --executor local (all cores).")
+        int | None, typer.Option(min=1, help="Processes, with --executor local; one per core if "
+                     "not given.")
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.jsonl", help="Keep finished cells here; go on from them."),
+        typer.Option(metavar="FILE.jsonl", help="Keep finished cells here, and continue from "
+                     "them."),
     ] = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Everything as JSON.")
@@ -66,7 +70,7 @@ def sweep(
         typer.Option(metavar="FILE.html", help="One page with figures and tables."),
     ] = None,
 ) -> None:  # fmt: skip
-    """Monte Carlo over heading noise and R_h: paper 002, or a grid of your own."""
+    """Monte Carlo over heading noise and the filter's R_h: paper 002, or a grid of your own."""
     from handcal.output import check_outputs
     from handcal.workers import WorkersDied
     from handcal_sim.sweep.compare import document

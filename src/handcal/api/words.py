@@ -38,9 +38,9 @@ _IN_PYTHON = (
     (r"--span ([^\s:]+),([^\s:]+):", r"span=(\1, \2):"),
     (r"--assume ([\w-]+)", r'assume="\1"'),
     (r"--(anyway|biases|reference-exact)\b", lambda m: m[1].replace("-", "_") + "=True"),
-    (r"that --effects did not", "that the list of effects did not"),
+    (r"missing from --effects", "missing from the list of effects"),
     (r"--(effects|budget)\b", r"\1"),
-    (r": handcal explain tries", ": handcal.explain tries"),
+    (r"handcal explain tries", "handcal.explain tries"),
 )  # fmt: skip
 
 

@@ -48,7 +48,9 @@ def _of_group(
         if key not in known:
             raise _unknown(path, f"there is no command '{name}{key}'", key, known)
         if not isinstance(value, dict):
-            raise InputError(f"{path}: {name}{key} is a command, so its options are a table.")
+            raise InputError(
+                f"{path}: {name}{key} is a command: write its options below [{name}{key}]."
+            )
         command = group.get_command(context, key)
         if hasattr(command, "list_commands"):
             out[key] = _of_group(path, command, context, value, f"{name}{key}.")
@@ -86,7 +88,7 @@ def _value(path: Path, name: str, option: Any, value: Any) -> Any:
             raise InputError(f"{path}: {name} is either true or false.")
         return value
     if any(isinstance(v, bool) for v in items):
-        raise InputError(f"{path}: {name} is no switch: it takes a value.")
+        raise InputError(f"{path}: {name} needs a value, not true or false.")
     words = [str(v) for v in items]
     return words if option.multiple else ",".join(words)
 

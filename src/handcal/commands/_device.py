@@ -19,7 +19,7 @@ DeviceFile = Annotated[
     typer.Option(
         "--device",
         metavar="PHONE.toml",
-        help="Begin with what earlier sessions said of this device (`handcal device add`).",
+        help="Prior from earlier sessions of this device (a file of `handcal device add`).",
     ),
 ]
 PriorsFile = Annotated[
@@ -27,7 +27,7 @@ PriorsFile = Annotated[
     typer.Option(
         "--priors",
         metavar="FILE.toml",
-        help="Begin with what `handcal fleet` learned of devices of this model.",
+        help="Prior from other devices of this model (a file of `handcal fleet`).",
     ),
 ]
 ModelName = Annotated[
@@ -46,13 +46,13 @@ def before_of(
         if model is not None:
             from handcal.types import InputError
 
-            raise InputError("--model says which model of --priors FILE; there is none.")
+            raise InputError("--model selects a model of a priors file: give --priors FILE too.")
         return known_before(device, recordings)
     from handcal.device.priors import chosen, prior, read
     from handcal.types import InputError
 
     if device is not None:
-        raise InputError("--device knows the device itself, --priors its model: name one of them.")
+        raise InputError("--device and --priors both set the prior: give one of them.")
     learned = read(priors)
     return prior(learned, chosen(learned, model))
 
@@ -75,10 +75,12 @@ def known_before(file: Path | None, recordings: Sequence[Recording]) -> Prior | 
     own = {digest(Path(r.path)) for r in recordings}
     others = tuple(s for s in device.sessions if not own & set(s.sha256))
     if len(others) < len(device.sessions):
-        say(f"{file} knows these very readings; what they said does not count twice")
+        say(f"{file} holds a session of this recording already; it is not counted twice")
         device = replace(device, sessions=others)
     if not others:
-        raise InputError(f"{file} holds no session of another recording of the device.")
+        raise InputError(
+            f"{file} holds no session of another recording of the device: run without --device."
+        )
     for d in disagreements(device):
         say(difference_sentence(d, device))
     begun = min((r.start_ns for r in recordings if r.start_ns), default=0)

@@ -44,15 +44,15 @@ Topics = Annotated[
     typer.Option(
         "--topic",
         metavar="NAME=TOPIC",
-        help="Which topic is which stream, as imu=/phone/imu, or gyro=/a and accel=/b where they "
-        "are apart (repeatable).",
+        help="Topic of a stream: imu=/phone/imu, or gyro=/a and accel=/b if these are separate "
+        "topics (repeatable).",
     ),
 ]
 Units = Annotated[
     str | None,
     typer.Option(
         metavar="NAME=UNIT,...",
-        help="Units in the file where they are not SI: accel=g,gyro=deg/s; in counts "
+        help="Units in the file, if not SI: accel=g,gyro=deg/s; of raw counts "
         "accel=g/16384,gyro=deg/s/131.",
     ),
 ]
@@ -61,14 +61,15 @@ ColumnsOf = Annotated[
     typer.Option(
         "--columns",
         metavar="NAME,...",
-        help="What the columns of a table are, in their order: t,gx,gy,gz,ax,ay,az; - leaves one "
-        "aside.",
+        help="Columns of a table, in order: t,gx,gy,gz,ax,ay,az; - skips a column.",
     ),
 ]
 Rate = Annotated[
     float | None,
     typer.Option(
-        "--rate", metavar="HZ", help="Of a table without times, or whose time counts samples."
+        "--rate",
+        metavar="HZ",
+        help="Sampling rate of a table that has no times, or whose time column counts samples.",
     ),
 ]
 AxesOf = Annotated[
@@ -76,17 +77,16 @@ AxesOf = Annotated[
     typer.Option(
         "--axes",
         metavar="SENSOR=AXES",
-        help="Which axes of gyro, accel or mag stand for the IMU's x, y, z: mag=y,x,-z "
-        "(repeatable).",
+        help="Axes of gyro, accel or mag that are the IMU's x, y, z: mag=y,x,-z (repeatable).",
     ),
 ]
 UnitsToo = Annotated[
     str | None,
     typer.Option(
         metavar="si|UNIT,...|NAME=UNIT,...",
-        help="Show numbers in these (si, or of deg, deg/h, mrad, rad, mg, g, m/s^2, percent, ppm, "
-        "mm, ms; JSON is always SI); and NAME=UNIT: what is in the file where it is not SI "
-        "(accel=g, accel=g/16384).",
+        help="Units to show: si, or any of deg, deg/h, mrad, rad, mg, g, m/s^2, percent, ppm, "
+        "mm, ms (JSON is always SI). NAME=UNIT is a unit in the file that is not SI: "
+        "accel=g, accel=g/16384.",
     ),
 ]
 Effects = Annotated[
@@ -100,26 +100,27 @@ Only = Annotated[
     bool,
     typer.Option(
         "--only",
-        help="Estimate biases and --effects alone: sigmas hold only if nothing else is there.",
+        help="Estimate only biases and --effects. The sigmas then hold only if the device has no "
+        "other errors.",
     ),
 ]
 HeadingSigma = Annotated[
     float | None,
     typer.Option(
-        metavar="DEG", min=0.0, help="1 sigma of a heading; found from the data if not given."
+        metavar="DEG", min=0.0, help="Heading noise, 1 sigma; estimated from the data if not given."
     ),
 ]
 Assumption = Annotated[
     Assume,
     typer.Option(
-        help="fixed-point: the held point stays in its place; rest-only: still in detected rests "
-        "alone; auto: chosen by evidence."
+        help="Assumption about the hand. fixed-point: the held point does not move; rest-only: "
+        "the device is still in detected rests only; auto: chosen by evidence."
     ),
 ]
 Latitude = Annotated[
     float | None,
     typer.Option(
-        metavar="DEG", min=-90.0, max=90.0, help="Take gravity and the Earth's turning from here."
+        metavar="DEG", min=-90.0, max=90.0, help="Latitude, which sets gravity and the Earth rate."
     ),
 ]
 Height = Annotated[
@@ -133,19 +134,20 @@ ReferenceExact = Annotated[
     bool,
     typer.Option(
         "--reference-exact",
-        help="/reference has no bias (a turntable): all differences are the IMU's.",
+        help="/reference has no bias (a turntable): every difference is an error of the IMU.",
     ),
 ]
 NoiseUntil = Annotated[
     float | None,
-    typer.Option(metavar="S", min=0.0, help="Find noise levels in the first S seconds only."),
+    typer.Option(metavar="S", min=0.0, help="Estimate noise levels from the first S seconds only."),
 ]
 EngineOption = Annotated[
-    Engine, typer.Option(help="compiled, or filterpy: slower, the same mathematics.")
+    Engine,
+    typer.Option(help="Filter implementation: compiled, or filterpy (same mathematics, slower)."),
 ]
 Anyway = Annotated[
     bool,
-    typer.Option("--anyway", help="Use also a result of which nothing is to be trusted."),
+    typer.Option("--anyway", help="Accept a result even if its trust is none."),
 ]
 Json = Annotated[
     Path | None,
@@ -159,8 +161,8 @@ EffectsFrom = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Take the effect files (*.py) of this folder into the catalogue. This runs their "
-        "code: name no folder that you do not trust.",
+        help="Add the effect files (*.py) of this folder to the catalogue. This runs their code: "
+        "name only a folder that you trust.",
     ),
 ]
 
@@ -342,11 +344,11 @@ def say_unused(recordings: Sequence[Recording], given: Mapping[str, Any]) -> Non
     """Say which options are left aside, being for something that is not there."""
     there = {name for r in recordings for name in r.streams} - set(given["ignore"] or ())
     if given["height"] and given["latitude"] is None:
-        say("--height is left aside: without --latitude, gravity is the standard one")
+        say("--height is ignored: it needs --latitude (without it, gravity is standard gravity)")
     if given["heading_sigma"] is not None and not there & {"heading", "mag"}:
-        say("--heading-sigma is left aside: there is no heading here")
+        say("--heading-sigma is ignored: there is no heading")
     if given.get("reference_exact") and "reference" not in there:
-        say("--reference-exact is left aside: there is no /reference here")
+        say("--reference-exact is ignored: there is no /reference")
 
 
 def radians(degrees: float | None) -> float | None:
@@ -385,7 +387,7 @@ def calibrated(
     own = [n for n, v in settings.items() if v != usual.get(n)]
     if ids or own:
         said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
-        raise InputError(f"--from holds the model with its options; leave out {said}.")
+        raise InputError(f"--from already sets the model and its options: leave out {said}.")
     heard(learnt_from, of_document(str(learnt_from), read_json(learnt_from)), anyway)
     chosen = read(learnt_from)
     with progress(f"calibrating {names}") as report, compiled_ahead():

@@ -28,13 +28,15 @@ def allan(
     ],
     span: Annotated[
         str | None,
-        typer.Option(metavar="FROM,TO", help="Stretch to analyse, s; else the longest rest."),
+        typer.Option(
+            metavar="FROM,TO", help="Interval to analyse, s; the longest rest if not given."
+        ),
     ] = None,
     how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Noise of a device at rest: Allan deviation, its terms, and what to give the filter."""
+    """Noise of a device at rest: Allan deviation, its terms, and noise levels for the filter."""
     from handcal.allan.analysis import analyse
     from handcal.output import check_outputs
     from handcal.show.allan import allan_json, print_allan, write_allan_report

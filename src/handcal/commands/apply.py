@@ -35,7 +35,8 @@ def apply(
         typer.Option(
             "--from",
             metavar="EXPLANATION.json",
-            help="What `explain --json` or `calibrate --json` learnt, of this recording or others.",
+            help="Result of `explain --json` or `calibrate --json`, of this or another recording "
+            "of the device.",
         ),
     ],
     out: Annotated[
@@ -44,16 +45,18 @@ def apply(
     biases: Annotated[
         bool,
         typer.Option(
-            "--biases", help="Take off biases too, which are those of the recording explained."
+            "--biases",
+            help="Remove biases too. They are those of the recording that was explained.",
         ),
     ] = False,
     anyway: Anyway = False,
     how: Reading = AS_IT_IS,
 ) -> None:
-    """Take the errors that were found off a recording's readings.
+    """Correct a recording: remove the errors that were found from its readings.
 
-    What is no error of a sensor (where it sits, gravity, noise) stays, and is said. So is what
-    there is to doubt about the result, and where the recording seems to be of another device.
+    Only sensor errors are removed. The sensor's position, gravity and noise stay, and are listed.
+    Warnings say what makes the result doubtful, and whether the recording seems to be of another
+    device.
     """
     from handcal.device.another import check_corrected, unlike
     from handcal.device.apply import TOGETHER, not_shown
@@ -73,7 +76,7 @@ def apply(
         unsure, laws = not_shown(learnt), _laws(given, learnt, corrected, biases)
     left = _left(corrected, learnt)
     if not corrected.taken:
-        nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
+        nothing = f"{learnt_from} has no error that could be removed from {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     changed = tuple[str, ...]()
     if bag is None:
@@ -93,7 +96,7 @@ def apply(
     ):
         if sentence:
             say(sentence)
-    tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
+    tell(f"{out}: {', '.join(corrected.taken)} removed from {recording.name}")
 
 
 def _laws(given: Recording, learnt: Learnt, corrected: Corrected, biases: bool) -> str:
@@ -108,7 +111,7 @@ def _laws(given: Recording, learnt: Learnt, corrected: Corrected, biases: bool) 
         size = rms(done - rest) if rest.shape == done.shape else None
         if size is None or any(size):  # (else it is a law of another stream)
             parts.append(f"{law}: {sized(size)}")
-    return f"Laws without a name that are taken off, {'; '.join(parts)}." if parts else ""
+    return f"Laws without a name that were removed: {'; '.join(parts)}." if parts else ""
 
 
 def _beside(corrected: Corrected, learnt: Learnt) -> str:
@@ -121,8 +124,8 @@ def _beside(corrected: Corrected, learnt: Learnt) -> str:
     if not others:
         return ""
     return (
-        "All errors that were shown are taken off; of these estimated beside, but not found: "
-        f"{', '.join(others)}."
+        "All errors that were shown are removed. These were estimated, but not found to be "
+        f"missing: {', '.join(others)}."
     )
 
 
@@ -130,5 +133,5 @@ def _left(corrected: Corrected, learnt: Learnt) -> str:
     """One sentence about what is left in the readings; empty if nothing is."""
     parts = [f"{', '.join(ids)} ({reason})" for reason, ids in corrected.left.items()]
     if learnt.unnamed:
-        parts.append(f"{', '.join(learnt.unnamed)} (the model has no law of it)")
-    return f"Left as it is: {'; '.join(parts)}." if parts else ""
+        parts.append(f"{', '.join(learnt.unnamed)} (the model has no law for it)")
+    return f"Not removed: {'; '.join(parts)}." if parts else ""

@@ -57,12 +57,14 @@ CUT_OFF = "the run ended before it was measured, or measured to its end."
 
 
 def bench(
-    rounds: Annotated[int, typer.Option(min=1, help="Rounds in which things take turns.")] = 5,
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Rounds; each measures every program once.")
+    ] = 5,
     only: Annotated[
         list[str] | None,
         typer.Option(
             metavar="GROUP",
-            help="One of these (repeatable), with about the time that five rounds take: "
+            help="Group to measure (repeatable), with the approximate time of five rounds: "
             + ", ".join(f"{name} {group.takes}" for name, group in GROUPS.items())
             + ".",
         ),
@@ -71,7 +73,8 @@ def bench(
         bool,
         typer.Option(
             "--all",
-            help=f"With {', '.join(LONG)} too: 22 minutes and the recordings; 7 minutes without.",
+            help=f"Measure {', '.join(LONG)} too: 22 minutes plus the recordings, instead of 7 "
+            "minutes.",
         ),
     ] = False,
     peers: Annotated[
@@ -90,17 +93,16 @@ def bench(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="An earlier --json: fail (exit status 1) where a ratio is 30 % worse now.",
+            help="An earlier file of --json: exit status 1 if a ratio is now 30 % worse.",
         ),
     ] = None,
     json: Json = None,
 ) -> None:
     """Measure handcal on this machine: speed beside other programs, start-up, memory.
 
-    Of whole commands it tells where the time goes, too. Each figure is shown,
-    and kept in the file of --json, once it is measured; interrupted, bench
-    leaves what it has. Peers that are not installed are left out; the extra
-    'bench' brings them.
+    For whole commands it also shows where the time goes. Each figure is shown, and written to
+    --json, as soon as it is measured; an interrupted bench keeps its figures. Other programs that
+    are not installed are skipped; the extra 'bench' installs them.
     """
     from handcal.output import check_outputs
 
@@ -121,7 +123,7 @@ def _chosen(only: Sequence[str], everything: bool) -> list[str]:
 
     for name in only:
         if name not in GROUPS:
-            raise InputError(f"--only {name}: there are {', '.join(GROUPS)}.")
+            raise InputError(f"--only {name}: unknown group. Known: {', '.join(GROUPS)}.")
     return [g for g in GROUPS if g in only or (not only and (everything or g not in LONG))]
 
 
@@ -307,8 +309,8 @@ def _show_heading(console: Console, rounds: int, load: float | None) -> None:
     console.print(f"Medians of {rounds} rounds, the least and the most; {text}", soft_wrap=True)
     if load is not None and load > 0.5:
         console.print(
-            f"This machine is busy (load {load:.1f} a core): times by the clock are longer than "
-            "they need be, and others somewhat.", soft_wrap=True,
+            f"This machine is busy (load {load:.1f} a core): wall-clock times are too long, and "
+            "CPU times somewhat.", soft_wrap=True,
         )  # fmt: skip
 
 

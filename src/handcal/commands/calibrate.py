@@ -59,8 +59,8 @@ def calibrate(
         typer.Option(
             "--from",
             metavar="RESULT.json",
-            help="Repeat the fit that `explain --json` or `calibrate --json` wrote of these files; "
-            "of others, estimate the same effects.",
+            help="Repeat the fit in a file of `explain --json` or `calibrate --json`; for other "
+            "recordings, estimate the same effects.",
         ),
     ] = None,
     anyway: Anyway = False,
@@ -80,13 +80,12 @@ def calibrate(
     report: Report = None,
     rrd: Rrd = None,
 ) -> None:
-    """Run the filter over recordings of one device: sensor errors, how well they are known.
+    """Estimate the sensor errors of one device from its recordings, with their sigmas.
 
-    Errors that every device has are always estimated; --effects adds others. They are those of the
-    device, so several recordings tell them together; biases and noise are each recording's own.
-    With --from, the fit of that result is repeated; of other recordings, the same effects are
-    estimated. With --device, what earlier sessions said of the device is where the fit begins;
-    values and sigmas then hold what all sessions say.
+    Errors that every device has are always estimated; --effects adds others. Several recordings
+    share these errors, while biases and noise are estimated for each recording. --from repeats
+    the fit of a result; for other recordings, it estimates the same effects. With --device,
+    earlier sessions of the device are the prior; values and sigmas then combine all sessions.
     """
     from handcal.output import beside, check_outputs
 

@@ -22,13 +22,13 @@ from handcal.commands._registry import tell
 @with_own_effects
 @reads_recordings
 def conceal(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, real ones too.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, real or simulated.")],
     effect: Annotated[
         list[str],
         typer.Option(
             metavar="ID=v,v,...",
-            help="Effect to add, values in the order of its parameters (repeatable); a wrong one "
-            "lists them.",
+            help="Effect to add, with values in the order of its parameters (repeatable). "
+            "`handcal effects ID` lists them.",
         ),
     ],
     out: Annotated[
@@ -39,15 +39,13 @@ def conceal(
         typer.Option(
             "--from",
             metavar="EXPLANATION.json",
-            help="What `explain --json` said of this recording as it is: what is added depends on "
-            "the true motion, and the device's own errors are no part of that.",
+            help="Result of `explain --json` for this recording. The added error is then "
+            "computed from the motion without the device's own errors.",
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0, help="The same seed gives the same file (drawn and printed if omitted)."
-        ),
+        typer.Option(min=0, help="Same seed, same file; random and printed if not given."),
     ] = None,
     anyway: Anyway = False,
     how: Reading = AS_IT_IS,

@@ -1,4 +1,4 @@
-"""Which poses, or which turns in the hand, would tell most about chosen errors.
+"""Design an experiment: the poses, or the turns in the hand, that determine chosen errors best.
 
 What is slow to import is imported where it is used.
 """
@@ -59,7 +59,7 @@ class Known(StrEnum):
 
 @design.callback()
 def _root() -> None:
-    """Say which poses, or which turns in the hand, would tell chosen errors best."""
+    """Find the poses, or the turns in the hand, that determine chosen errors best."""
 
 
 @design.command()
@@ -68,30 +68,37 @@ def poses(
     n: Annotated[int, typer.Option("--n", min=1, max=MOST_POSES, help="How many poses.")] = 9,
     effects: Annotated[
         str,
-        typer.Option(metavar="ID,...", help="Effects that the poses are to tell; biases always."),
+        typer.Option(
+            metavar="ID,...", help="Effects that the poses are to determine; biases always are."
+        ),
     ] = "accel_scale,accel_misalignment",
     known: Annotated[
         Known,
         typer.Option(
-            help="norm: only that gravity has its size; pose: the attitude; rate: turning steadily "
-            "about the vertical; spin: the same, against a rest in that pose."
+            help="What is known of each pose. norm: the magnitude of gravity alone; pose: the "
+            "attitude; rate: a steady turn about the vertical; spin: the same turn, "
+            "compared with a rest in that pose."
         ),
     ] = Known.norm,
     criterion: Annotated[
         Criterion,
         typer.Option(
-            help="D: volume of uncertainty; A: mean variance; condition: condition number."
+            help="What to minimise. D: volume of uncertainty; A: mean variance; condition: "
+            "condition number."
         ),
     ] = Criterion.D,
     sequential: Annotated[
         bool,
-        typer.Option("--sequential/--global", help="One pose after the other, or all at once."),
+        typer.Option(
+            "--sequential/--global", help="Choose one pose after the other, or all at once."
+        ),
     ] = False,
     rate: Annotated[
-        float, typer.Option(metavar="DEG/S", help="Of turns, with --known rate or spin.")
+        float, typer.Option(metavar="DEG/S", help="Rate of the turns, with --known rate or spin.")
     ] = 100.0,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Same seed, same poses (drawn, and said).")
+        int | None,
+        typer.Option(min=0, help="Same seed, same poses; random and printed if not given."),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw the poses (.png, .svg, .pdf).")
@@ -100,7 +107,7 @@ def poses(
     report: Report = None,
     rrd: Rrd = None,
 ) -> None:
-    """Poses that tell the errors best: which way to lay the device, and how good that is."""
+    """Find the poses that determine chosen errors best, and the sigmas that they would give."""
     import math
 
     import numpy as np
@@ -148,15 +155,18 @@ def motion(
         str,
         typer.Option(
             metavar="ID,...",
-            help="What is to become more certain: effects, gyro_bias, accel_bias.",
+            help="Whose uncertainty to reduce: effects, gyro_bias, accel_bias.",
         ),
     ],
     after: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="What has been recorded already; nothing if not given."),
+        typer.Option(metavar="FILE", help="Recording that was made already; none if not given."),
     ] = None,
     beside: Annotated[
-        str, typer.Option(metavar="ID,...", help="Effects that are unknown as well.")
+        str,
+        typer.Option(
+            metavar="ID,...", help="Further effects that are unknown and have to be estimated."
+        ),
     ] = "",
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
@@ -164,15 +174,14 @@ def motion(
     height: Height = 0.0,
     how: Reading = AS_IT_IS,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw what each motion would bring.")
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the gain of each motion.")
     ] = None,
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """The turn in the hand to make next: what it would do for the uncertainty of parameters.
+    """Find the turn in the hand that would reduce the uncertainty of chosen parameters most.
 
-    Without --after, for a device of which nothing is known yet; with --heading-sigma it has a
-    heading too.
+    Without --after, nothing is known of the device yet; --heading-sigma then gives it a heading.
     """
     from handcal.design.motion import plan
     from handcal.output import check_outputs

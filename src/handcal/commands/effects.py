@@ -16,7 +16,7 @@ def effects(
     ] = None,
     json: Json = None,
 ) -> None:
-    """The catalogue of errors: what each does, its parameters and usual size, what shows it."""
+    """The catalogue of errors: what each does, parameters, usual size, the motion that shows it."""
     from handcal.effects import catalogue, known_effect
     from handcal.output import check_outputs
     from handcal.show.calibration.summary import write_json

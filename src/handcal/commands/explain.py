@@ -64,15 +64,17 @@ def explain(
         Path | None,
         typer.Option(
             metavar="FILE.mcap",
-            help="Write the recording, and what baseline and final model say it should have read.",
+            help="Write the recording together with the readings that the baseline and the final "
+            "model predict.",
         ),
     ] = None,
     write_effect: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.py",
-            help="Write what was found and has no name as an effect file, for --effects-from; "
-            "further ones as FILE_2.py and so on. Its name is the effect's id.",
+            help="Write an error that was found without a name as an effect file, for "
+            "--effects-from; further ones as FILE_2.py and so on. The name of the file "
+            "becomes the effect's id.",
         ),
     ] = None,
     budget: Annotated[
@@ -80,7 +82,8 @@ def explain(
         typer.Option(
             min=0.0,
             metavar="SECONDS",
-            help="End the search after this time: the best model so far, and what was not tried.",
+            help="Time limit of the search. The result is the best model so far, with a list of "
+            "what was not tried.",
         ),
     ] = None,
     device: DeviceFile = None,
@@ -98,11 +101,11 @@ def explain(
     rrd: Rrd = None,
     effects_from: EffectsFrom = None,
 ) -> None:
-    """Say what a recording holds that the model does not: where, which physics, how certain.
+    """Find the errors that a recording shows beyond biases: where, which physics, how certain.
 
-    With --device, biases begin with what earlier sessions said of the device, and the values and
-    sigmas of what is found hold what all sessions say. Ctrl-C ends the search with the best model
-    so far, as --budget does. The exit status is 0 with every verdict.
+    With --device, earlier sessions of the device are the prior of biases, and the values and
+    sigmas of errors that are found combine all sessions. Ctrl-C ends the search with the best
+    model so far, as --budget does. The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
     from handcal.output import beside, check_outputs
@@ -268,13 +271,16 @@ def _write(explanation: Explanation, path: Path) -> None:
     found = [u for u in explanation.unnamed if not lawless(u)]
     for u in explanation.unnamed:
         if u not in found:
-            say(f"{u.formula} goes with the motion and is no law: there is nothing to write of it")
+            say(
+                f"{u.formula} is an error that varies with the motion, not a law: it cannot be "
+                "written as an effect file"
+            )
     if not found:
         late = " (and time ran out before all was tried)" if explanation.untried else ""
-        say(f"no law was found that has no name{late}; {path} is not written")
+        say(f"no law without a name was found{late}; {path} is not written")
         return
     names = [Path(r.recording.path).name for r in explanation.recordings]
     path.parent.mkdir(exist_ok=True)
     written = law_file.write(found, path, names, catalogue())
     for u, target in zip(found, written, strict=True):
-        say(f"{target}: {u.formula}; edit it, and read it in with --effects-from {target.parent}")
+        say(f"{target}: {u.formula}; edit it, and use it with --effects-from {target.parent}")

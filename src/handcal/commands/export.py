@@ -50,7 +50,7 @@ def export(
         Path | None,
         typer.Argument(
             metavar="RESULT.json",
-            help="What calibrate, explain, lab or, for the noise alone, allan wrote with --json.",
+            help="Result of calibrate, explain or lab with --json; of allan for the noise alone.",
         ),
     ] = None,
     to: Annotated[
@@ -58,15 +58,19 @@ def export(
     ] = "list",
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="File to write; - for output."),
+        typer.Option("-o", "--out", metavar="FILE", help="File to write; - for standard output."),
     ] = None,
     recording: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Measure on this recording what the format cannot hold."),
+        typer.Option(
+            metavar="FILE", help="Recording on which to measure what the format cannot hold."
+        ),
     ] = None,
     noise: Annotated[
         Path | None,
-        typer.Option(metavar="ALLAN.json", help="Noise of the device at rest, by allan --json."),
+        typer.Option(
+            metavar="ALLAN.json", help="Noise of the device at rest: a result of `allan --json`."
+        ),
     ] = None,
     axes: Annotated[
         list[str] | None,
@@ -82,22 +86,22 @@ def export(
         typer.Option(
             metavar="FILE",
             help="px4, ardupilot: the vehicle's parameters when this was recorded, if the log "
-            "does not say them (.params, .param, mavlogdump's PARM table).",
+            "does not hold them (.params, .param, mavlogdump's PARM table).",
         ),
     ] = None,
     readings: Annotated[
         Readings | None,
         typer.Option(
-            help="px4, ardupilot: of a table, whether its readings are raw or were corrected by "
-            "the vehicle's own calibration. A log says it itself."
+            help="px4, ardupilot: whether the readings of a table are raw, or corrected by the "
+            "vehicle's own calibration. A log holds this itself."
         ),
     ] = None,
     instance: Annotated[
         list[str] | None,
         typer.Option(
             metavar="K|SENSOR=K",
-            help="px4: which of the vehicle's sensors was read, 1 for CAL_GYRO1 and CAL_ACC1, or "
-            "gyro=1 and accel=2 (repeatable), where the recording does not say it.",
+            help="px4: index of the vehicle's sensor, if the recording does not hold it: 1 for "
+            "CAL_GYRO1 and CAL_ACC1, or gyro=1 and accel=2 (repeatable).",
         ),
     ] = None,
     anyway: Anyway = False,
@@ -105,7 +109,7 @@ def export(
 ) -> None:
     """Write a result in the format of another program.
 
-    The file's header says what is in it, and what the format cannot hold and how much that leaves.
+    The header of the file says what it holds, what its format cannot hold, and how large that is.
     """
     from handcal import output
     from handcal.explain.model_file import laws_of
@@ -158,7 +162,7 @@ def _read(result: Path) -> Any:
     except InputError:
         raise refused from None
     command = shlex.join(["handcal", "explain", str(result), "--json", f"{result.stem}.json"])
-    raise InputError(f"{result} is a recording, {kind}, and no result yet: {command} makes one.")
+    raise InputError(f"{result} is a recording ({kind}), not a result. To make a result: {command}")
 
 
 def _instance(words: Sequence[str]) -> dict[str, int]:

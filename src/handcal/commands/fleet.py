@@ -34,8 +34,8 @@ def fleet(
         list[str] | None,
         typer.Argument(
             metavar="SOURCE...",
-            help="Recordings: files, folders, patterns, addresses (s3://, https://, ...); with "
-            "--manifest none.",
+            help="Recordings: files, folders, patterns or addresses (s3://, https://, ...). None "
+            "with --manifest.",
         ),
     ] = None,
     out: Annotated[
@@ -43,46 +43,61 @@ def fleet(
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Folder or address to which results go, and from which they go on (needed).",
+            help="Folder or address for the results (required). A run continues from the results "
+            "that are there.",
         ),
     ] = None,
     executor: Annotated[
-        str, typer.Option(metavar="local|dask://HOST:PORT", help="Where it is computed.")
+        str,
+        typer.Option(
+            metavar="local|dask://HOST:PORT",
+            help="Where to compute: on this machine or on a Dask cluster.",
+        ),
     ] = "local",
     priors: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="What was learned of these models before."),
+        typer.Option(metavar="FILE.toml", help="Prior from an earlier fleet of these models."),
     ] = None,
     group_by: Annotated[
         str,
         typer.Option(
             "--group-by",
             metavar="COLUMN",
-            help="Column of the manifest: devices with the same value are a population",
+            help="Column of the manifest by which devices form a population.",
         ),
     ] = "model",
     manifest: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="path, device, model, started of each recording."),
+        typer.Option(
+            metavar="FILE.csv",
+            help="Table of the recordings, with columns path, device, model, started.",
+        ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Recordings at a time, with local (all cores).")
+        int | None,
+        typer.Option(
+            min=1, help="Recordings at a time, with --executor local; one per core if not given."
+        ),
     ] = None,
     deadline: Annotated[
-        float, typer.Option(min=0.1, metavar="SECONDS", help="For one recording.")
+        float, typer.Option(min=0.1, metavar="SECONDS", help="Time limit for one recording.")
     ] = DEADLINE_S,
     memory: Annotated[
-        float, typer.Option(min=1.0, metavar="MB", help="For one recording.")
+        float, typer.Option(min=1.0, metavar="MB", help="Memory limit for one recording.")
     ] = MEMORY_MB,
     budget: Annotated[
         float | None,
-        typer.Option(min=0.0, metavar="SECONDS", help="As of `explain`, for each recording."),
+        typer.Option(
+            min=0.0,
+            metavar="SECONDS",
+            help="Time limit of the search for each recording, as in `explain`.",
+        ),
     ] = None,
     anyway: Anyway = False,
 ) -> None:
-    """Explain every recording of many devices, and say what the devices of a model have in common.
+    """Explain every recording of many devices, and find what the devices of a model have in common.
 
-    Results are kept as they come; the same command goes on where it was ended.
+    Each result is kept at once; after an interruption, the same command continues.
     """
     from handcal.fleet import store as kept
     from handcal.fleet.record import Options
@@ -125,13 +140,13 @@ def _announced(listed: Sequence[Source], left_out: Sequence[str]) -> None:
     """What is not known of the recordings, before anything runs."""
     if left_out:
         names = ", ".join(PurePath(p).name for p in left_out[:3])
-        say(f"{len(left_out)} files that are no recordings by their names are left out: {names}")
+        say(f"{len(left_out)} files are skipped, whose names are not those of recordings: {names}")
     nameless = sum(not s.device for s in listed)
     if nameless:
-        say(f"the device of {nameless} of {len(listed)} recordings is not known: each counts "
-            "as a device of its own (--manifest says it)")  # fmt: skip
+        say(f"the device of {nameless} of {len(listed)} recordings is not known: each counts as a "
+            "device of its own (name devices in --manifest FILE.csv)")  # fmt: skip
     if any(not s.model for s in listed):
-        say("the model of some recordings is not known: they are taken for one population, unknown")
+        say("the model of some recordings is not known: they form one population, unknown")
 
 
 def _prior_of(priors: Path | None, listed: Sequence[Source]) -> Callable[[Source], Document | None]:
@@ -142,7 +157,7 @@ def _prior_of(priors: Path | None, listed: Sequence[Source]) -> Callable[[Source
 
     learned = read(priors)
     for model in sorted({s.model for s in listed} - set(learned.models)):
-        say(f"{priors} knows nothing of {model or 'devices of no model'}: it begins as is usual")
+        say(f"{priors} has no prior for {model or 'devices of no model'}: the usual prior is used")
     return lambda source: prior_json(prior(learned, source.model) if source.model in learned.models
                                      else None)  # fmt: skip
 
@@ -161,8 +176,8 @@ def _run(
                 say(f"Dask shows what it does at {open_workers.said}")
             return run(listed, store, open_workers, options, prior_of, _Line())
     except KeyboardInterrupt:
-        say(f"interrupted; what is finished is kept in {store.shown}, and the same command goes "
-            "on from there")  # fmt: skip
+        say(f"interrupted; what is finished is kept in {store.shown}, and the same command "
+            "continues from there")  # fmt: skip
         raise typer.Exit(INTERRUPTED) from None
 
 
@@ -210,5 +225,5 @@ def _written(members: Sequence[Member], store: Store, anyway: bool) -> None:
         learned = sum(c.told for c in m.common)
         found = [words.effect_title(s.effect) for s in m.stacks if s.probability > FOUND]
         names = ", ".join(found) or "nothing found"
-        tell(f"{m.name}: {m.devices} devices; {learned} of {len(m.common)} spreads told, "
-              f"{len(m.odd)} odd ones; common to them: {names}")  # fmt: skip
+        tell(f"{m.name}: {m.devices} devices; {learned} of {len(m.common)} spreads determined, "
+             f"{len(m.odd)} odd ones; common to them: {names}")  # fmt: skip

@@ -29,7 +29,7 @@ def info(
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """What a file holds: streams, rates, gaps, units, rests, turns; and which errors it shows."""
+    """What a file holds: streams, rates, gaps, units, rests, turns, and the errors it can show."""
     from handcal.design.seen import seen
     from handcal.exports import refusals
     from handcal.lab.scalar import of_few_rests
@@ -45,7 +45,7 @@ def info(
     form, found = format_of(file), overview(recording)
     stated = recording.file_units or getattr(form, "UNITS", "SI")
     if how.units:
-        stated += f"; overruled by --units {how.units}"
+        stated += f"; overridden by --units {how.units}"
     result = Info(form.UNDERSTOOD, stated, found, seen(found), of_few_rests(recording))
     if report:
         write_info_report(result, report)

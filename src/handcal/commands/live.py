@@ -39,28 +39,32 @@ def live(
     ] = Path("live-out"),
     lan: Annotated[
         bool,
-        typer.Option("--lan", help="Serve the page to this network too, encrypted, not to this "
-                     "machine alone."),
+        typer.Option("--lan", help="Serve the page to the local network too, encrypted; without "
+                     "it, to this machine alone."),
     ] = False,
     plain: Annotated[
         bool,
-        typer.Option("--plain", help="With --lan, not encrypted: for apps that push and know no "
-                     "new certificates. Everyone in the network can read along."),
+        typer.Option("--plain", help="With --lan, without encryption: for apps that push and "
+                     "accept no new certificate. Anyone on the network can read "
+                     "the data."),
     ] = False,
     port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port of the page; any free one.")
+        int | None, typer.Option(min=1, max=65535, help="Port of the page; any free one if not "
+                     "given.")
     ] = None,
     source: Annotated[
         Path | None,
-        typer.Option("--from", metavar="FILE", help="Practise: feed a recording, without a page."),
+        typer.Option("--from", metavar="FILE", help="Practise with a recording instead of a "
+                     "phone, without a page."),
     ] = None,
     speed: Annotated[
-        float, typer.Option(min=0.0, help="With --from, times as fast as it happened; 0: at once.")
+        float, typer.Option(min=0.0, help="With --from, speed relative to real time; 0: as fast "
+                     "as possible.")
     ] = 1.0,
     phyphox: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Ask the phyphox app at this address (remote access) "
-                     "for readings."),
+        typer.Option(metavar="ADDRESS", help="Read from the phyphox app at this address (remote "
+                     "access)."),
     ] = None,
     follow: Annotated[
         Path | None,
@@ -75,7 +79,7 @@ def live(
     effects: Effects = "",
     until: Annotated[
         str,
-        typer.Option(metavar="EFFECT=SIGMA,...", help="End when so much is known: "
+        typer.Option(metavar="EFFECT=SIGMA,...", help="End when these sigmas are reached: "
                      "gyro_scale=0.1%,gyro_bias=15deg/h."),
     ] = "",
     device: DeviceFile = None,
@@ -84,23 +88,23 @@ def live(
     how: Reading = AS_IT_IS,
     budget: Annotated[
         float | None,
-        typer.Option(min=0.0, metavar="SECONDS", help="Time limit of the search, as of explain."),
+        typer.Option(min=0.0, metavar="SECONDS", help="Time limit of the search, as in explain."),
     ] = None,
     anyway: Anyway = False,
     dashboard: Annotated[
-        bool, typer.Option("--dashboard", help="Show it in the Rerun viewer as it goes.")
+        bool, typer.Option("--dashboard", help="Show the session in the Rerun viewer.")
     ] = False,
     web: Annotated[
-        bool, typer.Option("--web", help="The same in a browser instead of a window.")
+        bool, typer.Option("--web", help="Show it in a browser instead of a window.")
     ] = False,
     rrd: Rrd = None,
 ) -> None:  # fmt: skip
-    """Record a phone as it moves, say which turn to do next, and explain the recording.
+    """Record a phone as it moves, propose the next turn, and explain the recording.
 
     Open the link on the phone, do what the page says, press Stop (or Ctrl-C here). The app Sensor
-    Logger pushes to the link with push behind it; --phyphox, --follow and --foxglove ask others.
+    Logger pushes to the link with push appended; --phyphox, --follow, --foxglove read from others.
     Writes recording.mcap, calibration.json, explanation.json, report.html and exports. What was
-    recorded survives a crash: start again with the same folder, and the same link goes on.
+    recorded survives a crash: start again with the same folder, and the same link stays valid.
     """
     from handcal.live.recorder import opened
     from handcal.live.session import Session
@@ -117,7 +121,7 @@ def live(
     out.mkdir(parents=True, exist_ok=True)
     session = Session(opened(out / "recording.mcap"), source=named)
     if session.recorder.samples:
-        say(f"going on with {session.recorder.seconds:.0f} s that were recorded before")
+        say(f"continuing after {session.recorder.seconds:.0f} s that were recorded before")
     with _board(dashboard or web, web, rrd) as board:
         if recording is None:
             ended = _served(session, out, places, wanted, pull, board)
@@ -162,7 +166,7 @@ class _Places:
         if len(named) > 1:
             raise InputError(f"{' and '.join(named)}: one source at a time.")
         if self.plain and not self.lan:
-            raise InputError("--plain is for --lan; on this machine alone nothing is encrypted.")
+            raise InputError("--plain needs --lan: on this machine alone nothing is encrypted.")
 
 
 def _check_outputs(out: Path, rrd: Path | None, read: tuple[Path | None, ...]) -> None:
@@ -248,9 +252,12 @@ def _served(
         print(qr(link.url) + link.url, flush=True)
         if places.lan and not places.plain:
             say("the phone will warn that it does not know the certificate, which was made here: "
-                "go on all the same (Advanced, Proceed; on iOS Show Details, visit)")  # fmt: skip
+                "continue anyway (Advanced, Proceed; on iOS Show Details, visit)")  # fmt: skip
         elif places.plain:
-            say("not encrypted: phones give no page their sensors this way; it is for apps")
+            say(
+                "not encrypted: browsers give no sensor readings to such a page; use an app that "
+                "pushes"
+            )
         else:
             say("the page can be opened on this machine alone; --lan serves it to a phone")
         if places.is_page:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     speed: Annotated[
-        float, typer.Option(min=0.0, help="Times as fast as it happened; 0: no waiting.")
+        float, typer.Option(min=0.0, help="Speed relative to real time; 0: as fast as possible.")
     ] = 1.0,
     web: Annotated[
         bool, typer.Option("--web", help="Watch in a browser instead of a window.")
@@ -61,14 +61,14 @@ def replay(
 ) -> None:
     """Run the filter over a recording as if live, and show it in the Rerun viewer as it goes.
 
-    A calibration goes before it: that is where the noise levels come from.
+    The recording is calibrated first, to find the noise levels.
     """
     from handcal.output import check_outputs
     from handcal.show.viewer import require_display
     from handcal.types import InputError
 
     if no_viewer and rrd is None:
-        raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
+        raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do: add --rrd.")
     check_outputs((rrd,), (file,))
     recording = load(file, how)
     if not (no_viewer or web):

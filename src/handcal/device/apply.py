@@ -58,11 +58,11 @@ EXACT = 1e-12
 NO_SENSOR = "no error of a sensor"
 # (Of an error the constant part is in the bias as well, with the other sign.)
 TOGETHER = "The biases were found together with {}, and without it may be worse than none"
-NOT_ASKED = "of one day, taken off with --biases"
+NOT_ASKED = "of one day; --biases removes it"
 NOT_KNOWN = "not known well enough"
-BIASES_TOO = "--biases takes off the biases too, which are those of this recording alone."
+BIASES_TOO = "--biases removes the biases too. They are those of this recording alone."
 CLOCK = "other topics of the bag go by the same clock"
-NO_STREAM = "no stream here from which it could be taken off"
+NO_STREAM = "the recording has no stream from which to remove it"
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ Progress = Callable[[float], None]
 # Noise levels are found in no less, s.
 LEAST_NOISE_S = 2.0
 DRIFTING = (
-    "The biases drift within the recording: the fit follows them as random walks, and says their "
-    "means."
+    "The biases drift within the recording: the fit follows them as random walks, and gives "
+    "their means."
 )
 ONLY = "These sigmas hold only if the device has no errors but its biases"
 
@@ -124,7 +124,7 @@ def calibrate_together(
     check_apart(recordings)
     if noise_until is not None and not noise_until >= LEAST_NOISE_S:
         raise InputError(
-            f"Noise is found in no less than {LEAST_NOISE_S:g} s: {noise_until:g} s are too few."
+            f"Noise levels need at least {LEAST_NOISE_S:g} s: {noise_until:g} s are too few."
         )
     cases = []
     for recording in recordings:
@@ -273,8 +273,8 @@ def _check_calibrates(effects: Sequence[Effect]) -> None:
     for e in effects:
         if e.outliers:
             raise InputError(
-                f"The effect '{e.id}' cannot be calibrated: the filter believes every reading. "
-                "'explain' can find it; leave it out here."
+                f"The effect '{e.id}' cannot be calibrated, because the filter uses every "
+                "reading. Leave it out here; 'explain' can find it."
             )
 
 
@@ -288,14 +288,17 @@ def _check_effects(effects: Sequence[Effect], kinds: Sequence[str], recording: R
         acts = e.imu_error is not None or e.walks or e.acts_on & set(kinds)
         if not acts:
             beside = "mag" in recording.streams and "heading" in kinds
-            why = "nothing like that is observed here: leave it out"
+            why = "no such observation is made here: leave it out"
             if beside and "magnetometer" in e.acts_on:
-                why = "that is not used beside a heading: leave it out, or the heading (--ignore)"
+                why = (
+                    "the magnetometer is not used beside a heading: leave it out, or the "
+                    "heading (--ignore heading)"
+                )
             raise InputError(
                 f"The effect '{e.id}' acts on {' or '.join(sorted(e.acts_on))}, and {why}."
             )
         if PLACE in e.needs and not any(catalogue()[k].places for k in kinds):
             raise InputError(
-                f"The effect '{e.id}' depends on where the device is, and neither a held point nor "
-                "a pose tells that here: leave it out."
+                f"The effect '{e.id}' depends on the position of the device, and here there is "
+                "neither a held point nor a pose: leave it out."
             )

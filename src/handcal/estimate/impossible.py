@@ -17,9 +17,9 @@ STRAYS, MOVES, OFF = 1.0, 0.5, 0.5
 # Usual sizes of a sensor's error beyond which a device is a strange one: priors' tails end there.
 FAR = 25.0
 CHECK = (
-    "nothing that was fitted is to be believed. Check full scales, sample rate, units and axes "
-    "(handcal info says what gravity shows of them), and whether the device did what was assumed "
-    "of the hand (--assume rest-only where no point was held)."
+    "do not use this fit. Check full scales, sample rate, units and axes (handcal info compares "
+    "them with gravity), and the assumption about the hand (--assume rest-only if no point was "
+    "held)."
 )
 
 
@@ -29,7 +29,7 @@ def sentences(far: float, fast: float, off: float) -> tuple[str, ...]:
     if far > STRAYS:
         out.append(f"In the final fit the held point strays by {far:.2g} m: {CHECK}")
     if fast > MOVES:
-        out.append(f"In the final fit what rests moves at {fast:.2g} m/s: {CHECK}")
+        out.append(f"In the final fit the device moves at {fast:.2g} m/s during rests: {CHECK}")
     if off > OFF * STANDARD_GRAVITY:
         out.append(f"At rest the corrected specific force is off by {off:.2g} m/s^2: {CHECK}")
     return tuple(out)
@@ -73,9 +73,9 @@ def strange(ids: Collection[str]) -> str | None:
     if not (known := sorted({*ids} & {*catalogue()})):
         return None
     return (
-        f"No device has as much of this as was found here: "
-        f"{', '.join(catalogue()[i].title.lower() for i in known)}. Something else that has no "
-        "name stands behind it; take its numbers for no more than a sign of that."
+        "Larger than in any real device: "
+        f"{', '.join(catalogue()[i].title.lower() for i in known)}. Another error, without a "
+        "name, is the probable cause: use these numbers only as a sign of that."
     )
 
 

@@ -26,9 +26,9 @@ def doubt(f: Fitted) -> str | None:
         return None
     wide = sway_of(f.problem, f.levels)
     return (
-        f"The point that is held would sway by {wide:.2g} m, which no hand does that stays in one "
-        "place: it travels, or something is missing that was not found. Turned in one place, the "
-        "device would tell which."
+        f"The held point would sway by {wide:.2g} m, more than that of a hand which stays in one "
+        "place. Either the hand travels, or an error is missing from the model. A recording that "
+        "is turned in one place would tell which."
     )
 
 
@@ -43,7 +43,7 @@ def resting(
                    before=held.case.before)  # fmt: skip
     begins = "The hand travels" if explained else DOUBTED
     said = (
-        f"{begins}: as a held point it would sway by {wide:.2g} m. Only the rests are "
-        "taken to be still (--assume fixed-point has it otherwise)."
+        f"{begins}: a fixed held point would sway by {wide:.2g} m. Only the rests are assumed to "
+        "be still (--assume fixed-point overrides this)."
     )
     return replace(case, warnings=(*case.warnings, said), noise_until=held.case.noise_until)

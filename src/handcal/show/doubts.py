@@ -75,8 +75,8 @@ def worse_unseen(explanation: Explanation) -> str | None:
     if h is None or not gain <= -WORSE:
         return None
     return (
-        f"On data that the fit has not seen ({h.source}) the final model does worse, by "
-        f"{-gain:.3g} nats: do not rely on it yet."
+        f"On held-out data ({h.source}) the final model does worse, by {-gain:.3g} nats: do not "
+        "rely on it yet."
     )
 
 
@@ -99,8 +99,9 @@ def saturated(recording: Recording, rests: Array) -> str | None:
     if share < MUCH:
         return None
     return (
-        f"In {100 * share:.0f}{NBSP}% of the motion a sensor was at the end of its measuring range "
-        "(saturated) or not read: what it did there is guessed. Set a larger range, or move less."
+        f"In {100 * share:.0f}{NBSP}% of the motion a sensor was at the end of its measuring "
+        "range (saturated) or not read: the motion there is a guess. Set a larger range, or move "
+        "less."
     )
 
 

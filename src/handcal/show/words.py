@@ -23,10 +23,10 @@ _NOISE = {
     "heading_noise": "Heading noise",
     "hand_sway": "Hand sway",
     "creep": "Slow drift of the arm",
-    "creep_time": "The arm drifts within",
+    "creep_time": "Time constant of the arm's drift",
     "sway": "Hand sway",
     "sway_per_rate": "Hand sway while turning",
-    "sway_time": "Hand sway lasts",
+    "sway_time": "Time constant of hand sway",
     "position_noise": "Jitter of the held point",
     "velocity_noise": "Velocity at rest",
     "rest_rate_noise": "Rate noise at rest",
@@ -137,9 +137,9 @@ def deaf_heading(noise: Iterable[NoiseLevel]) -> str | None:
     if sigma <= _NO_HEADING:
         return None
     return (
-        f"The heading says nothing: it scatters by {math.degrees(sigma):.0f} deg about the "
-        "gyro's, where mere chance gives 104; check its unit (rad), that it counts "
-        "counter-clockwise from east, and its clock."
+        f"The heading carries no information: it scatters by {math.degrees(sigma):.0f} deg about "
+        "the gyro's, and a random heading by 104 deg. Check its unit (rad), its direction "
+        "(counter-clockwise from east) and its clock."
     )
 
 
@@ -177,9 +177,9 @@ def assume_sentence(
     """What the filter took for granted about the hand, with these streams beside the IMU's; drifts,
     moves: whether a held point may."""
     if "reference" in streams:
-        return "Nothing was assumed of the hand: the reference tells how it moved."
+        return "Nothing was assumed about the hand: the reference measures its motion."
     if "pose" in streams and assume == "fixed-point":
-        return "Nothing was assumed of the hand: the pose tells where it was."
+        return "Nothing was assumed about the hand: the pose measures its position."
     if assume != "fixed-point" or not (drifts or moves):
         return f"It was assumed that {_ASSUME.get(assume, assume)}."
     place = "drifts smoothly" if drifts else "stayed in its place"

@@ -14,35 +14,40 @@ from handcal.commands._registry import say, tell
 
 def add(
     file: Annotated[
-        Path, typer.Argument(metavar="PHONE.toml", help="The device file; made if it is not there.")
+        Path,
+        typer.Argument(metavar="PHONE.toml", help="The device file; created if it does not exist."),
     ],
     results: Annotated[
         list[Path],
-        typer.Argument(metavar="RESULT.json...", help="From `calibrate --json`, `explain --json`."),
+        typer.Argument(
+            metavar="RESULT.json...", help="Results of `calibrate --json` or `explain --json`."
+        ),
     ],
     name: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="The device's name; that of a new file is PHONE."),
+        typer.Option(metavar="NAME", help="The device's name; by default the file's name (PHONE)."),
     ] = None,
     date: Annotated[
         datetime | None,
         typer.Option(
             formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"],
             metavar="YYYY-MM-DD",
-            help="When it was recorded, where the result does not say so.",
+            help="Date of the recording, if the result does not hold it.",
         ),
     ] = None,
     temperature: Annotated[
         float | None,
-        typer.Option(metavar="DEGC", help="How warm it was, where the result does not say so."),
+        typer.Option(
+            metavar="DEGC", help="Temperature of the recording, if the result does not hold it."
+        ),
     ] = None,
     anyway: Anyway = False,
 ) -> None:
-    """Add what results say of a device to its file, each as a session of its own.
+    """Add results to the file of a device, each as a session of its own.
 
-    Kept are biases, errors of gyro and accelerometer, and the lever arm; what else is in a result
-    is said. A result that was made with --device counts for what its own recording said. Two
-    devices are not mixed, and the same recording counts once.
+    The file keeps biases, errors of gyro and accelerometer, and the lever arm; what it does not
+    keep of a result is printed. A result that was made with --device adds only the information of
+    its own recording. Results of another device are refused. The same recording counts once.
     """
     from handcal import trust
     from handcal.device import file as device_file
@@ -63,7 +68,9 @@ def add(
     else:
         device = device_file.Device(name or file.stem, ())
     if (date is not None or temperature is not None) and len(results) > 1:
-        raise InputError("--date and --temperature are of one recording: add results one by one.")
+        raise InputError(
+            "--date and --temperature belong to one recording: add results one by one."
+        )
     when = None if date is None else date.replace(tzinfo=UTC)
     for path in results:
         document = device_file.read_result(path)

@@ -19,14 +19,14 @@ def show(
         typer.Option(
             formats=["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"],
             metavar="YYYY-MM-DD",
-            help="What is known on that day (today).",
+            help="Show the state on that day; today if not given.",
         ),
     ] = None,
     units: UnitsToo = None,
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Print what is known of a device, by which sessions, and where they disagree."""
+    """Print what is known of a device, from which sessions, and where sessions disagree."""
     if units:
         from handcal.types import InputError
 

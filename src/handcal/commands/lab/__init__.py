@@ -9,4 +9,4 @@ commands = group(__name__)
 
 @commands.callback()
 def _root() -> None:
-    """Calibrate with a turntable, a cube or only a table, and repeat what the papers say."""
+    """Calibrate with a turntable, a cube or a plain table; reproduce the figures of the papers."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 Gravity = Annotated[
-    float | None, typer.Option(metavar="M/S^2", help="Gravity here; 9.80665 if not given.")
+    float | None, typer.Option(metavar="M/S^2", help="Local gravity; 9.80665 if not given.")
 ]
 
 
@@ -18,10 +18,10 @@ def gravity_of(gravity: float | None, latitude_deg: float | None, height: float)
     from handcal.types import InputError
 
     if gravity is not None and latitude_deg is not None:
-        raise InputError("--gravity and --latitude say the same: give one of them.")
+        raise InputError("--gravity and --latitude both set gravity: give one of them.")
     if gravity is not None:
         if not 9.7 < gravity < 9.9:
-            raise InputError(f"--gravity {gravity:g}: on the Earth it lies between 9.7 and 9.9.")
+            raise InputError(f"--gravity {gravity:g}: expected 9.7 to 9.9 m/s^2, as on the Earth.")
         return gravity
     if latitude_deg is None:
         return STANDARD_GRAVITY

@@ -58,25 +58,31 @@ def known_input(
         str | None,
         typer.Option(
             metavar="ID,...",
-            help="Effects to estimate beyond constant biases; scale and misalignment of the "
-            "sensors that were read, and turned, if not given.",
+            help="Effects to estimate beyond constant biases. If not given: scale and "
+            "misalignment of each sensor, of the gyro only if it was turned.",
         ),
     ] = None,
     axes: Annotated[
         Axes,
         typer.Option(
-            help="imu: accelerometer x is body x, and how the IMU is mounted is estimated; table: "
-            "the table's axes are the body's, all misalignments are against them."
+            help="Body axes. imu: x is the accelerometer's x, and the mounting of the IMU is "
+            "estimated; table: the table's axes, to which all misalignments refer."
         ),
     ] = Axes.imu,
     sequence: Annotated[
-        str, typer.Option(metavar="XYZ", help="Axes of alpha, beta, gamma; n has z up.")
+        str,
+        typer.Option(
+            metavar="XYZ", help="Axes of the rotations alpha, beta, gamma; the frame n has z up."
+        ),
     ] = "ZXZ",
     angle_sigma: Annotated[
-        float, typer.Option(metavar="ARCSEC", min=0.0, help="Error of each axis in each pose.")
+        float,
+        typer.Option(
+            metavar="ARCSEC", min=0.0, help="Angle error of each axis in each pose, 1 sigma."
+        ),
     ] = 0.0,
     tilt_sigma: Annotated[
-        float, typer.Option(metavar="ARCMIN", min=0.0, help="Tilt of the table's base.")
+        float, typer.Option(metavar="ARCMIN", min=0.0, help="Tilt of the table's base, 1 sigma.")
     ] = 0.0,
     gravity: Gravity = None,
     latitude: Latitude = None,
@@ -87,8 +93,8 @@ def known_input(
 ) -> None:
     """Calibrate against a turntable, a dividing head or a trusted IMU on the same body.
 
-    Rests and steady turns are found in the recording, or stand in the rows of a table. What the
-    tests cannot tell apart is said before anything is estimated.
+    Rests and steady turns are found in the recording, or are the rows of a CSV table. Parameters
+    that the tests cannot separate are listed before the fit.
     """
     from handcal.lab import steady_tests, steady_tests_csv
     from handcal.lab.known_input import known_input

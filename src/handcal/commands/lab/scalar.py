@@ -35,8 +35,7 @@ def scalar(
         typer.Option(
             metavar="ID,...",
             help="Effects to estimate beyond constant biases; if not given, accel_scale, "
-            "accel_misalignment, gyro_scale, gyro_misalignment, or those of the one sensor "
-            "that there is.",
+            "accel_misalignment, gyro_scale, gyro_misalignment, or those of the only sensor.",
         ),
     ] = None,
     gravity: Gravity = None,
@@ -46,11 +45,11 @@ def scalar(
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """Calibrate against the size of gravity alone: rests in many attitudes, and turns between.
+    """Calibrate against the magnitude of gravity alone: rests in many attitudes, and turns between.
 
     No equipment is needed. Let the device lie still for some seconds in each of a dozen
     attitudes, on sides, edges and slants, and turn it about all axes in between. An accelerometer
-    alone is calibrated too.
+    without a gyro is calibrated too.
     """
     from handcal.lab.scalar import halves_or_none, scalar
     from handcal.output import check_outputs

@@ -47,7 +47,7 @@ def not_drawn(parameters: Sequence[Parameter]) -> str:
     """Which effects that are shown have no figure; empty if all have."""
     left = with_shown(parameters) - with_shown(drawn(parameters))
     names = _names(p for p in parameters if p.effect in left)
-    return f"Not drawn, as they are no further from zero: {names}." if names else ""
+    return f"Not drawn, because they are fewer sigmas from zero: {names}." if names else ""
 
 
 def rest_line(rest: Sequence[Parameter]) -> str:
@@ -55,8 +55,8 @@ def rest_line(rest: Sequence[Parameter]) -> str:
     if not rest:
         return ""
     return (
-        f"Not shown by this motion: {_names(rest)}. They keep their usual size and widen what "
-        "depends on them."
+        f"Not shown by this motion: {_names(rest)}. They keep their prior, which widens the "
+        "sigmas of what depends on them."
     )
 
 
@@ -65,7 +65,7 @@ def rest_motion(rest: Sequence[Parameter]) -> str:
     if not rest:
         return ""
     ((effect, _),) = Counter(p.effect for p in rest).most_common(1)
-    return f"What would show most of the rest: {effect_motion(effect)}."
+    return f"Motion that would show most of the rest: {effect_motion(effect)}."
 
 
 def under_table(front: Sequence[Parameter], rest: Sequence[Parameter]) -> list[str]:
@@ -73,8 +73,9 @@ def under_table(front: Sequence[Parameter], rest: Sequence[Parameter]) -> list[s
     size."""
     wide = [parameter_title(p) for p in front if p.sigma > p.prior_sigma]
     why = (
-        f"± beyond the usual size ({listed(wide)}): some devices have many times as much, which "
-        "this motion does not rule out, or its readings scatter more than the model expects."
+        f"± larger than the usual size ({listed(wide)}): this motion does not rule out an error "
+        "of many times the usual size, as a few devices have, or its readings scatter more than "
+        "the model expects."
     ) if wide else ""  # fmt: skip
     return [s for s in (rest_line(rest), why) if s]
 

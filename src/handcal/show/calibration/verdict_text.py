@@ -47,26 +47,27 @@ def verdict(result: Result) -> Verdict:
     against = [*doubts.cautious(result), *(r for r in reasons if r not in result.warnings)]
     fell_back = any(w.startswith(DOUBTED) for w in result.warnings)
     if trust.level == NONE:
-        level, headline = "poor", "The fit leaves what no hand makes."
+        level, headline = "poor", "The fit is physically impossible."
     elif hardly_any(result.parameters):
         level, headline = next_first(front)
     elif fell_back:
-        level, headline = "partly", "These numbers are of the rests alone, and may be far off."
+        level, headline = "partly", "These numbers come from the rests alone, and may be far off."
     elif reasons:
         level, headline = "partly", "Something in this recording is not explained by the model."
     elif n < of:
-        level, headline = "partly", f"{n} of {of} parameters were learnt from this motion."
+        level, headline = "partly", f"This motion determined {n} of {of} parameters."
     else:
-        what = "All that this motion shows" if rest else "Every parameter"
-        level, headline = "good", f"{what} was learnt, and the numbers hold together."
+        what = "Every parameter that this motion shows" if rest else "Every parameter"
+        level = "good"
+        headline = f"{what} was determined, and the residuals are consistent with the model."
     if trust.level == NONE:
         return Verdict(level, headline, trust.reasons)
     more = how_good.sentences(result.parameters, result.covariance, result.before)
     more += _sentences(result, learnt, against, fell_back)
     if reasons and not result.repeated:
         more.append(
-            "Usual causes: a held point that moved, or an effect that --effects did not include: "
-            "handcal explain tries them all."
+            "Usual causes: the held point moved, or an effect is missing from --effects. handcal "
+            "explain tries all effects."
         )
     return Verdict(level, headline, tuple(more))
 
@@ -90,12 +91,12 @@ def _sentences(
     groups = [g for g in by_effect(learnt).values() if g[0].unit and g[0].effect in told]
     if groups:
         known = listed([_known_to(g) for g in groups])
-        sentences.append(f"If the model is complete, known to one sigma: {known}.")
+        sentences.append(f"One sigma, if the model is complete: {known}.")
     if fell_back:
         sentences.append(
-            "As a held point the hand would have moved too far. Effects that the model lacks look "
-            "the same, and then they are in these biases, many times the ± values: handcal explain "
-            "tells the two apart."
+            "With a fixed held point, the fit needs more sway than a hand makes. Either the hand "
+            "travelled, or effects are missing from the model; these then bias the numbers by "
+            "many times the ± values. handcal explain finds out which."
         )
     elif result.innovations and not against:
         sentences.append("The residuals match the predicted uncertainty.")
@@ -117,7 +118,7 @@ def not_shown(result: Result) -> tuple[str, ...]:
         motion = effect_motion(effect)
         subject = listed([parameter_title(hidden[0]), *(p.name for p in hidden[1:])])
         now, before = unit.value(best.sigma, best.sigma), unit.value(best.prior_sigma)
-        why = f"{subject}: ±{now}{NBSP}{unit.unit} now, against ±{before}{NBSP}{unit.unit} before"
+        why = f"{subject}: ±{now}{NBSP}{unit.unit}, from a prior of ±{before}{NBSP}{unit.unit}"
         if reference and effect in BIASES:
             motion = (_BESIDE if effect == "gyro_bias" else motion) + _REFERENCE_TOO
         elif effect == "gyro_bias" and not heading:
@@ -125,5 +126,5 @@ def not_shown(result: Result) -> tuple[str, ...]:
                 ". Without a heading, the bias of the axis that stays vertical looks like a slow "
                 "turn: turn about a second axis too, or record a magnetometer or compass heading"
             )
-        sentences.append(f"{why}. What would show it: {motion}.")
+        sentences.append(f"{why}. Motion that would show it: {motion}.")
     return (*sentences, rest_motion(rest)) if rest else tuple(sentences)

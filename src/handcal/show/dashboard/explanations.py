@@ -145,7 +145,9 @@ def _markdown(explanation: Explanation) -> str:
         lines += [u.story, ""] if u.story else []
     told = verdict_text.untold(e)
     told += [f"Next: {verdict_text.motion_phrase(n.motion)}." for n in e.next_motion]
-    lines += ["### What could not be told", "", *(f"- {s}" for s in told), ""] if told else []
+    lines += (
+        ["### What this motion could not show", "", *(f"- {s}" for s in told), ""] if told else []
+    )
     lines += [f"- {w}" for w in all_warnings(e)]
     return "\n".join(lines)
 

@@ -37,9 +37,9 @@ CURVES = 6
 TOGETHER = 3
 TITLE = "Where the evidence came from"
 CAPTION = (
-    "The final model against the same without the effect, added up as the recording goes on: "
-    "where a curve climbs, the recording speaks for it. (Noise, and readings that were left out, "
-    "have none.) Rests shaded."
+    "Log evidence of the final model over the same model without the effect, cumulated over the "
+    "recording: where a curve climbs, the readings support the effect. (Noise and outliers have "
+    "no curve.) Rests shaded."
 )
 
 

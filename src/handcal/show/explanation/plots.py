@@ -151,8 +151,8 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     ax.legend(swatches, [f"{v:,.0f} nats" for v in scale], loc="lower right", ncols=4,
               bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.3)  # fmt: skip
     caption = (
-        f"Nats that the baseline loses to the final one in each {bins[1] - bins[0]:.3g} s; at "
-        f"the right, each channel's share."
+        f"Nats that the baseline loses to the final model in each {bins[1] - bins[0]:.3g} s. "
+        "Right: the share of each channel."
     )
     if explanation.mismatch:
         caption += " Framed: what is listed above."
@@ -184,7 +184,7 @@ def law_plot(u: Unnamed, number: int) -> Plot | None:
     if len(c.behind):
         driver, read = (c.behind * [over.factor, unit.factor]).T
         ax.plot(driver, read, "o", color=INK, ms=3.2, alpha=0.45, lw=0,
-                label="what was read beyond the rest of the model")  # fmt: skip
+                label="readings minus the rest of the model")  # fmt: skip
     below, above = (unit.factor * (c.y + n * c.sigma) for n in (-2.0, 2.0))
     ax.fill_between(x, below, above, color=RED, alpha=0.18, lw=0)
     what = "the error" if say.lawless(u) else "the law"
@@ -211,11 +211,9 @@ def _trace_caption(trace: Trace, differences: Sequence[Array], unit: Shown, one:
         who = "The model is" if one else "Both models are"
         caption = f"{who} {shown[1]} {unit.unit} (rms) off."
     if trace.left_out:
-        caption += (
-            f" Not drawn: {words.counted(trace.left_out, 'reading')} left out as merely wrong."
-        )
+        caption += f" Not drawn: {words.counted(trace.left_out, 'reading')} rejected as outliers."
     if not trace.before.any():
-        caption += f" Counted from what the {'model' if one else 'baseline'} expects."
+        caption += f" Shown relative to what the {'model' if one else 'baseline'} predicts."
     return caption
 
 
@@ -258,15 +256,15 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
 def _hypotheses_caption(shown: Sequence[Hypothesis], rest: int) -> str:
     """What is drawn of each effect; rest: how many are not."""
     caption = (
-        "Bar: what it gains when added first, coloured if it was found. Circle: what it gains when "
-        "added last, beside all that was found; a long bar whose circle is near zero stands in "
-        "for something else. Tick: what an error of the usual size would gain in this motion. "
-        "(Noise is fitted beside the rest alone: it has no bar and no tick.)"
+        "Bar: gain when added first, coloured if it was found. Circle: gain when added last, to "
+        "all that was found; a long bar whose circle is near zero stands in for something else. "
+        "Tick: gain of an error of the usual size in this motion. (Noise is fitted only together "
+        "with the rest, so it has no bar and no tick.)"
     )
     if any(not h.verdict and h.final > SHOWS for h in shown):
         caption += (
-            " Grey with its circle far out: in the final model, but as likely a part of what has "
-            "no name as an error of its own (“present?” is that it is one)."
+            " Grey with its circle far out: in the final model, but it may be part of an error "
+            "without a name (“present?” is the probability that it is an error of its own)."
         )
     if rest:
         which = "another effect" if rest == 1 else f"{rest} other effects"
@@ -326,7 +324,7 @@ def balance_plot(explanation: Explanation) -> Plot | None:
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1,
                        handlelength=1.0, handletextpad=0.4)  # fmt: skip
         caption += " Both models at the final noise."
-    return Plot("Does the model know its own errors?", caption, svg(figure, "balance"))
+    return Plot("Are the innovations as large as predicted?", caption, svg(figure, "balance"))
 
 
 def _dumbbell(ax: Axes, row: int, before: float, after: float) -> None:
@@ -343,10 +341,8 @@ def parameter_plot(explanation: Explanation) -> Plot | None:
     if not any(math.isfinite(p.value) for p in found):
         return None
     figure = sizes(found, {e: c for e, (c, _) in effect_styles(explanation).items()})
-    caption = (
-        "Thick: ±1 sigma; thin: ±3 sigma. Shaded: what was held possible before (±1 prior sigma)."
-    )
-    return Plot("What was found, in size", caption, svg(figure, "parameters"))
+    caption = "Thick: ±1 sigma; thin: ±3 sigma. Shaded: the prior (±1 sigma)."
+    return Plot("Size of what was found", caption, svg(figure, "parameters"))
 
 
 def draw(explanation: Explanation) -> dict[str, list[Plot]]:

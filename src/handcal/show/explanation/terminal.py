@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
 NATS = "A nat is a natural logarithm of probability: 3 nats are odds of 20 to 1, 7 of 1,000 to 1."
 KEY = (
-    "● present, ◐ one of a set that this motion cannot tell apart. First: added to the baseline, "
-    "which may call noise what it lacks. Last: added beside all that was found, at the noise of "
-    "the final model. Expected: by an effect of the usual size, whether or not it is there."
+    "● present, ◐ one of a set that this motion cannot separate. First: the gain when added to "
+    "the baseline, whose noise may absorb other errors. Last: the gain when added to all that "
+    "was found, at the noise of the final model. Expected: the gain of an effect of the usual "
+    "size, present or not."
 )
 TOP = 8  # hypotheses in the terminal; those found are shown in any case
 
@@ -130,11 +131,11 @@ def _print_judged(e: Explanation, console: Console) -> None:
     heading("How well the model fits" if say.one_model(e) else "Before and after")
     console.print(_fit_table(e))
     if untold := verdict_text.untold(e):
-        heading("What this motion could not tell")
+        heading("What this motion could not show")
         for sentence in untold:
             line(sentence, bullet="• ")
     if e.next_motion:
-        heading("What motion would tell")
+        heading("Motions that would help")
         for n in e.next_motion:
             promise = f"{verdict_text.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
             line(f"{n.motion.rstrip('.')}: {promise}.", bullet="• ")
@@ -172,7 +173,7 @@ def _beside(e: Explanation) -> list[str]:
     front, rest = in_front(e.parameters, found)
     others = dict.fromkeys(p.effect for p in front if p.effect not in (*BIASES, *found))
     names = words.listed([words.effect_title(i).lower() for i in others]) if others else ""
-    also = f"Shown too, though not found (values in the JSON): {names}." if others else ""
+    also = f"Determined too, but not found (values in the JSON): {names}." if others else ""
     return [s for s in (also, *under_table(front, rest), *say.markers(e)) if s]
 
 
@@ -218,7 +219,7 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
              "nats", _signed(say.gain(e)))]  # fmt: skip
     if (h := e.held_out) is not None and not say.one_model(e):
         scores = say.number(h.log_score_before), say.number(h.log_score_after)
-        rows.append(("score on unseen data", *scores, "nats", _signed(held_out_gain(e))))
+        rows.append(("score on held-out data", *scores, "nats", _signed(held_out_gain(e))))
     for channel in say.channels(before.residual_rms, after.residual_rms):
         pair = [f.residual_rms.get(channel, math.nan) for f in (before, after)]
         unit = say.channel_shown(channel, pair, small=True)

@@ -90,7 +90,7 @@ def matters(explanation: Explanation) -> str | None:
     many = "one matters" if len(first) == 1 else f"{counted_word(len(first))} matter"
     others = "other holds" if rest == 1 else "others hold"
     return (
-        f"Of what was found {many}: {names}. The {counted_word(rest)} {others} less than "
+        f"Of the errors found, {many}: {names}. The {counted_word(rest)} {others} less than "
         f"{whole_percent(MATTERS)} each."
     )
 
@@ -109,7 +109,7 @@ def weight(m: Missing) -> str:
         each = [f"{u.value(v, v)}{NBSP}{u.unit} in {words.channel_title(c)}" for c, v, u in units]
         parts.append(f"adds {listed(each)} (root mean square)")
     if m.held_out_gain is not None:
-        parts.append(f"unseen data {'agree' if m.held_out_gain > 0.0 else 'do not agree'}")
+        parts.append(f"held-out data {'agree' if m.held_out_gain > 0.0 else 'do not agree'}")
     told = "; ".join(parts)
     return f"{told[:1].upper()}{told[1:]}." if told else ""
 
@@ -120,8 +120,8 @@ def shares_note(explanation: Explanation) -> str:
     if len(shares) < 2 or round(100 * sum(shares)) == 100:
         return ""
     return (
-        "A share is what would be lost without that effect alone; shares need not add up to "
-        f"100{NBSP}%."
+        "A share is the part of the mismatch that returns if that effect alone is left out; "
+        f"shares need not add up to 100{NBSP}%."
     )
 
 
@@ -184,7 +184,7 @@ def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
         best = max(open_, key=lambda h: h.probability)
         tried = words.counted(len(open_), "effect")
         sentences.append(
-            f"Of {tried} tried, the likeliest is {the(best.title)} (probability "
+            f"Of {tried} tried, the most probable is {the(best.title)} (probability "
             f"{percent(best.probability)})."
         )
         if hidden := hardly_shown(e.hypotheses):
@@ -207,7 +207,7 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
             named.append(f"{counted_word(more)} other{'s' * (more > 1)}")
         besides = f", besides {listed(named)}"
     if e.impossible:
-        return "poor", "The final fit leaves what no hand makes.", list(e.impossible)
+        return "poor", "The final fit is physically impossible.", list(e.impossible)
     headline = f"Found: an error that no known effect accounts for{besides}."
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
@@ -226,9 +226,11 @@ def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
     headline = f"Found: {listed(sets, 'and')}; this motion cannot tell which."
     sentences = [f"One of them is present with probability {likely}."]
     if clear:
-        sentences.append(f"Told apart clearly: {listed([_present(m, e) for m in clear])}.")
+        sentences.append(f"Clearly separated: {listed([_present(m, e) for m in clear])}.")
     if e.next_motion:
-        sentences.append(f"What would tell: {motion_phrase(e.next_motion[0].motion)}.")
+        sentences.append(
+            f"Motion that would separate them: {motion_phrase(e.next_motion[0].motion)}."
+        )
     return "partly", headline, sentences
 
 
@@ -274,7 +276,7 @@ def held_out_sentence(explanation: Explanation) -> str | None:
         return worse
     better = difference >= doubts.WORSE
     how = "the final model does better" if better else "both models do equally well"
-    return f"On data that the fit has not seen ({h.source}) {how}."
+    return f"On held-out data ({h.source}) {how}."
 
 
 def untold(explanation: Explanation) -> list[str]:
