@@ -75,7 +75,7 @@ def test_options_for_what_is_not_there_are_said_to_be_left_aside(options, said, 
 
 
 def test_noise_is_not_found_in_no_time(both: Path) -> None:
-    assert "no less than 2 s" in ran("calibrate", str(both), "--noise-until", "0", status=2)
+    assert "at least 2 s" in ran("calibrate", str(both), "--noise-until", "0", status=2)
 
 
 def test_of_what_little_was_told_is_said_where_it_is_taken_off(tmp_path: Path) -> None:

@@ -604,7 +604,7 @@ def test_what_an_effect_does_to_the_readings_is_said_in_their_unit():
     m = fake_explanation("explained").missing[0]
     said = verdict_text.weight(m).replace("\N{NO-BREAK SPACE}", " ")
     assert "0.69 deg/s in gyro z" in said  # 0.012 rad/s, the largest of the three
-    assert "unseen data agree" in said
+    assert "held-out data agree" in said
     assert "do not agree" in verdict_text.weight(replace(m, held_out_gain=-4.0))
     assert "unseen" not in verdict_text.weight(replace(m, held_out_gain=None))
 

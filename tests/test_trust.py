@@ -310,7 +310,7 @@ def test_several_results_of_one_fit_share_the_least_trust():
 @pytest.mark.parametrize("damage", [{"trust": "perfect"}, {"trust_reasons": "because"}])
 def test_a_damaged_trust_is_a_sentence(damage):
     document = json.loads(json.dumps(calibration_json(plain()))) | damage
-    with pytest.raises(InputError, match="damaged: trust is good or doubtful or none"):
+    with pytest.raises(InputError, match="damaged: its trust must be good or doubtful or none"):
         device.of_document("x.json", document)
 
 

@@ -57,7 +57,7 @@ def verdict(result: Result) -> Verdict:
     elif n < of:
         level, headline = "partly", f"This motion determined {n} of {of} parameters."
     else:
-        what = "Every parameter that this motion shows" if rest else "Every parameter"
+        what = "All that this motion shows" if rest else "Every parameter"
         level = "good"
         headline = f"{what} was determined, and the residuals are consistent with the model."
     if trust.level == NONE:
