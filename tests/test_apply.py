@@ -379,4 +379,4 @@ def test_what_was_shown_but_not_found_is_taken_off_and_said(plain, tmp_path, mai
     found = written(tmp_path / "x.json", own, missing=[{"effect": "gyro_scale"}])
     status, shown, said = main(source, "--from", found, "-o", out)
     assert (status, "gyro_scale, accel_scale removed from" in shown) == (0, True)
-    assert "not found: accel_scale." in said
+    assert "not found to be missing: accel_scale." in said

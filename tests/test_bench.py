@@ -356,7 +356,7 @@ def test_nothing_to_compare_is_no_pass(monkeypatch, tmp_path):
 
 
 def test_unknown_groups_are_refused():
-    with pytest.raises(HandcalError, match="there are filter"):
+    with pytest.raises(HandcalError, match="Known: filter"):
         bench_command.bench(only=["nonsense"])
 
 

@@ -524,7 +524,7 @@ def test_the_lab_lists_its_commands_without_loading_them(monkeypatch, capsys):
     assert status == 0
     for name in ("known-input", "scalar", "paper"):
         assert name in out
-    assert "Calibrate against the size of gravity alone" in " ".join(out.split())
+    assert "Calibrate against the magnitude of gravity alone" in " ".join(out.split())
     assert command(monkeypatch, capsys, "lab", "nonsense")[0] == 2
     status, _, err = command(monkeypatch, capsys, "lab")
     assert (status, len(err.splitlines())) == (2, 1)

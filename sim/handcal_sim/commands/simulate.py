@@ -30,15 +30,14 @@ def simulate(
     ] = None,
     no_heading: Annotated[bool, typer.Option("--no-heading", help="No heading sensor.")] = False,
     seed: Annotated[
-        int | None, typer.Option(help="Same seed, same file; random and printed if not given.")
+        int | None, typer.Option(help="Same seed, same file (drawn, and said).")
     ] = None,
     effect: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ID=v,v,...",
-            help="Set an effect, with values in the order of its parameters (repeatable); a "
-            "wrong number of values lists them. Use `handcal conceal` for effects that are "
-            "not known here.",
+            help="Set an effect, values in the order of its parameters (repeatable); "
+            "a wrong one lists them. What only `handcal conceal` knows is added by it.",
         ),
     ] = None,
     effects_from: Annotated[
@@ -59,11 +58,10 @@ def simulate(
     ] = None,
     heading_rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Rate of the heading (consumer: 50; else the IMU's rate)."),
+        typer.Option(metavar="HZ", help="Rate of heading (consumer: 50; else with the IMU)."),
     ] = None,
     duration: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Length of the recording; turns are stretched to it."),
+        float | None, typer.Option(metavar="S", help="Length; turns are stretched to it.")
     ] = None,
     bias_gyro_deg_h: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Gyro biases, deg/h.")
@@ -88,7 +86,7 @@ def simulate(
     ] = None,
     latitude: Annotated[
         float | None,
-        typer.Option(metavar="DEG", help="Latitude, which sets true gravity and Earth rate."),
+        typer.Option(metavar="DEG", help="True gravity and Earth rate there."),
     ] = None,
     height: Annotated[
         float, typer.Option(metavar="M", help="Height above the ellipsoid, with --latitude.")
@@ -103,8 +101,7 @@ def simulate(
     clockwise: Annotated[
         bool | None,
         typer.Option(
-            "--clockwise/--counter-clockwise",
-            help="Direction of the turns (random; paper: counter-clockwise).",
+            "--clockwise/--counter-clockwise", help="Which way it turns (random; paper: counter-)."
         ),
     ] = None,
     table_errors: Annotated[
@@ -118,7 +115,7 @@ def simulate(
         float | None, typer.Option(metavar="DEG/S", help="Rate of steady-spins (100).")
     ] = None,
 ) -> None:
-    """Write a recording of a simulated device in a simulated hand, with the truth."""
+    """Write a recording of a simulated device in a simulated hand, and what was true."""
     from handcal.output import check_outputs, whole
     from handcal.recordings.export import check_ending
     from handcal.types import InputError
@@ -127,10 +124,7 @@ def simulate(
     from handcal_sim.request import Request, simulated
 
     if perfect and device not in (None, "perfect"):
-        raise InputError(
-            f"--perfect means --device perfect, which contradicts --device {device}: "
-            "give one of them."
-        )
+        raise InputError(f"--perfect is --device perfect, not {device}: give one of them.")
     own, others = parted(effect or ())
     request = Request(
         scenario=scenario, seed=seed, device="perfect" if perfect else device or "consumer",
