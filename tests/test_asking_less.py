@@ -45,9 +45,6 @@ from handcal.search.climb import (
 )
 from handcal_sim import simulate
 
-# Nats that a law has to gain.
-LEAST = 12.0
-
 
 @pytest.fixture(scope="module")
 def base() -> Model:

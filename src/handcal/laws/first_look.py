@@ -35,7 +35,7 @@ from handcal.laws.short_windows import (
 )
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside
-from handcal.types import Array, IntArray
+from handcal.types import IntArray
 
 # At the most, of one kind of course: constants of the laws that go on to a scan, whose work grows
 # with them, and laws that differ in times and widths only.
@@ -77,9 +77,9 @@ class FirstLook:
             key = name, of, windows.edges.tobytes()
             if key not in made.courses:
                 made.courses[key] = self._courses(list(_drivers(name, signals)), sensor, of)
+            seen = self._seen(of, sensor, known)
             for alike in made.courses[key]:
-                nats = self._gains(of, sensor, known, alike)
-                for driver, more in zip(alike.drivers, nats, strict=True):
+                for driver, more in zip(alike.drivers, gains_of(alike, seen), strict=True):
                     gain[driver.name] = gain.get(driver.name, 0.0) + float(more)
                     kind = by_kind.setdefault((driver.knots, driver.round), {})
                     kind[driver.name] = driver, alike.means.shape[2]
@@ -95,11 +95,6 @@ class FirstLook:
         """Courses of the drivers in one of the recordings."""
         motion, windows = motion_of(self.parts[of][1].excited), self.windows[of]
         return courses_of(drivers, motion, sensor, len(windows.phase), windows.of)
-
-    def _gains(self, of: int, sensor: int, known: Sequence[Effect], courses: Courses) -> Array:
-        """Gain (d,) of a law over each driver in one of the recordings, nats."""
-        seen = self._seen(of, sensor, known)
-        return gains_of(courses, seen, list(seen.at.values()))
 
     def _seen(self, of: int, sensor: int, known: Sequence[Effect]) -> Beside:
         """The windows of one of the recordings beside these effects, axis by axis."""

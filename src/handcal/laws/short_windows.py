@@ -97,8 +97,7 @@ def looked_at(model: Model, about: Ground, windows: Windows, sensor: int) -> Qua
     named as in ``constants``."""
     axes, count = AXES_OF[sensor], len(windows.phase)
     pattern = [_phases(sensor, axis, windows) for axis in axes]
-    own = windows.first[:, None] + np.arange(windows.within)
-    own = np.minimum(own, count - 1)
+    own = np.minimum(windows.first[:, None] + np.arange(windows.within), count - 1)
     place = np.hstack([own + count * n for n in range(len(axes))])
     every = [constants(sensor, axis, count) for axis in axes]
     done = spread(about, pattern, every, place)
@@ -130,9 +129,7 @@ def _phases(sensor: int, axis: int, windows: Windows) -> Effect:
     """An error of a channel with one constant for each phase of an epoch."""
 
     def columns(signals: Signals) -> Array:
-        out = np.zeros((len(signals.t), windows.within))
-        out[np.arange(len(signals.t)), windows.phase[windows.of(signals.t)]] = 1.0
-        return out
+        return np.eye(windows.within)[windows.phase[windows.of(signals.t)]]
 
     return _added("phases", sensor, axis, windows.within, columns)
 
@@ -224,9 +221,7 @@ def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effe
     """An error of a channel with one constant for each of ``count`` windows of this width, s."""
 
     def columns(signals: Signals) -> Array:
-        out = np.zeros((len(signals.t), count))
-        out[np.arange(len(signals.t)), windows_of(signals.t, signals.t, width)] = 1.0
-        return out
+        return np.eye(count)[windows_of(signals.t, signals.t, width)]
 
     return _added("windows", sensor, axis, count, columns)
 
@@ -258,10 +253,10 @@ def _added(
     )  # fmt: skip
 
 
-def gains_of(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
+def gains_of(of: Courses, seen: Beside) -> Array:
     """Gain (d,) of a law over each driver, nats: the best of one axis alone, one law for all axes,
     and a law of its own on each axis (sum over axes, as if independent)."""
-    axes = range(of.means.shape[1])
+    axes, at = range(of.means.shape[1]), list(seen.at.values())
     G = {(a, o): seen.G[np.ix_(at[a], at[o])] for a in axes for o in axes[a:]}
     out = []
     for first in range(0, len(of.means), TOGETHER):

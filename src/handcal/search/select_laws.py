@@ -21,14 +21,14 @@ from handcal.estimate.transfer import without
 from handcal.laws.best_law import is_composed
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.drivers import DRIVERS, HEADING, Driver, usable
+from handcal.laws.first_look import InWindows
 from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
-from handcal.laws.short_windows import Courses, courses_of, gains_of, means, windows_of
+from handcal.laws.short_windows import Courses, courses_of, gains_of, windows_of
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains
 from handcal.search.response import Response, sensor_of
 from handcal.search.select import Choice, Priors, chosen, windows_beside
-from handcal.types import Array, IntArray
 
 # Drivers of a sensor that are looked at as formulas, the likeliest of all and of those that
 # are no composition.
@@ -48,36 +48,6 @@ class Found:
     beside: Choice
     nats: float
     score: float
-
-
-@dataclass(frozen=True, eq=False)
-class _InWindows:
-    """A sensor's windows, with all that is known integrated out: b (a, n), G (a, n, a, n); window
-    of each sample (m,) of the signals."""
-
-    signals: Signals
-    sensor: int
-    window: IntArray
-    b: Array
-    G: Array
-
-    @property
-    def beside(self) -> Beside:
-        """The windows themselves."""
-        n = self.b.size
-        return Beside(self.b.ravel(), self.G.reshape(n, n), {})
-
-    def seen(self, absent: Sequence[Effect]) -> Beside:
-        """What the windows say of absent effects that act on this sensor alone."""
-        C = np.hstack(
-            [means(e, self.sensor, self.signals, self.window, self.b.shape[1]) for e in absent]
-        )
-        at, first = {}, 0
-        for e in absent:
-            at[e.id] = np.arange(first, first + len(e.parameters), dtype=np.int64)
-            first += len(e.parameters)
-        whole = self.beside
-        return Beside(C.T @ whole.b, C.T @ whole.G @ C, at)
 
 
 def courses_on(r: Response) -> dict[int, list[Courses]]:
@@ -126,7 +96,9 @@ def best_laws(
         own = []
         for other in _bases(r, priors, choice, sensor):
             b, G = windows_beside(r, other.names, other.noise, sensor)
-            looked = _InWindows(signals, sensor, window, b, G)
+            at = {str(a): x for a, x in enumerate(np.arange(b.size).reshape(b.shape))}
+            whole = Beside(b.ravel(), G.reshape(b.size, b.size), at)
+            looked = InWindows(signals, sensor, [(whole, (signals, window))], 1.0)
             for law, nats in _laws(looked, of):
                 e = effect_of(law)
                 if e.id not in {*priors.refused, *choice.names}:
@@ -160,16 +132,14 @@ def _bases(r: Response, priors: Priors, choice: Choice, sensor: int) -> Iterator
         yield chosen(r, priors, choice.names - weak, rest, choice.steps)
 
 
-def _laws(looked: _InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law, float]]:
+def _laws(looked: InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law, float]]:
     """The likeliest laws as formulas and curves, with what they gain, their costs unpaid."""
-    n = looked.b.shape[1]
-    whole = looked.beside
-    at = [np.arange(a * n, (a + 1) * n, dtype=np.int64) for a in range(len(looked.b))]
+    ((whole, _),) = looked.parts
     ranked = sorted(
         (
             (float(nats), driver)
             for of in courses
-            for nats, driver in zip(gains_of(of, whole, at), of.drivers, strict=True)
+            for nats, driver in zip(gains_of(of, whole), of.drivers, strict=True)
         ),
         key=lambda x: -x[0],
     )
