@@ -25,7 +25,7 @@ from handcal.estimate.transfer import moved_to
 from handcal.laws import over_drivers, short_windows, vocabulary
 from handcal.laws.drivers import DRIVERS, HEADING, usable
 from handcal.laws.law_effect import SIZE
-from handcal.search.climb.candidates import candidates
+from handcal.search.candidates import candidates
 from handcal_sim import simulate
 from handcal_sim.phone import (
     Phone,
@@ -105,7 +105,7 @@ def test_constants_of_each_window_add_up_to_what_acts_throughout(model: Model) -
     windows = short_windows.windows_about(ground)
     count, t = len(windows.phase), windows.edges
     for sensor in (0, 1):
-        q = short_windows.looked_at(model, ground, windows, sensor)
+        q = short_windows.looked_at(model.ids, ground, windows, [sensor])
         for axis, begin in product(range(3), (0, count // 3, count // 2)):
             own = {(f"windows: {sensor} {axis}", f"w{n}") for n in range(begin, count)}
             at = [n for n, name in enumerate(q.names) if name in own]

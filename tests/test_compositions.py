@@ -22,8 +22,6 @@ from handcal.laws import operators
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.driver_code import HELPERS, steps_to
 from handcal.laws.drivers import DRIVERS, HEADING, LINE, RATES, Driver, operated, times
-from handcal.laws.first_look import COMPOSED as COMPOSED_ONES
-from handcal.laws.first_look import HEADINGS, Vocabulary, first_look
 from handcal.laws.grammar import formula
 from handcal.laws.law_effect import COMPOSED, Law
 from handcal.laws.over_drivers import Block, best_of_block, over, signals_of
@@ -33,10 +31,14 @@ from handcal.laws.short_windows import (
     count_of,
     courses_of,
     fits_in,
+    gains_of,
     windows_of,
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside, beside
+from handcal.search.response import response
+from handcal.search.select import Priors, chosen, windows_beside
+from handcal.search.select_laws import CLOSER, courses_on
 from handcal.signals import probe
 from handcal_sim import simulate
 
@@ -97,31 +99,38 @@ def test_a_look_at_short_windows_says_what_a_scan_does(
     """Of a world with large errors, for courses of all kinds."""
     world = simulate("free-hand", seed=0, duration_s=60.0, effects=errors)
     model = baseline([case_of(recording_of(world, "heading"))])
-    signals = signals_of(model.parts[0])
-    assert fits_in(signals)
-    every = list((composed_headings if sensor == HEADING else composed)(signals))
-    base, known = grounds(model), [e for e in model.effects if e.process is None]
-    name = HEADINGS if sensor == HEADING else COMPOSED_ONES
-    best = first_look(model, base).likeliest(name, sensor, known, signals, Vocabulary())
-    told, kinds = _scanned(model, base, known, sensor, best)
-    usual, _ = _scanned(model, base, known, sensor, every[:: len(every) // 60])
+    assert fits_in(signals_of(model.parts[0]))
+    r = response(model)
+    choice = chosen(r, Priors(lambda _: 0.0), model.chosen, {})
+    b, G = windows_beside(r, choice.names, {}, sensor)
+    at = {str(a): x for a, x in enumerate(np.arange(b.size).reshape(b.shape))}
+    looked = Beside(b.ravel(), G.reshape(b.size, b.size), at)
+    ranked = sorted(
+        ((nats, d) for of in courses_on(r.windows)[sensor]
+         for nats, d in zip(gains_of(of, looked), of.drivers, strict=True) if d.composed),
+        key=lambda x: -x[0],
+    )  # fmt: skip
+    known = [e for e in model.effects if e.process is None]
+    every = [d for _, d in ranked]
+    base = grounds(model)
+    told = _scanned(model, base, known, sensor, every[:30])
+    usual = _scanned(model, base, known, sensor, every[30 :: len(every) // 60])
     # In windows that are short against a turn, hardly anything of a course is lost.
     assert told.max() > 20.0
     assert told.max() > 0.85 * usual.max()
     assert np.median(told) > np.quantile(usual, 0.9)
-    first = {kind: n for n, kind in reversed(list(enumerate(kinds)))}
-    assert told[list(first.values())].max() > 0.85 * told.max()
+    firsts = {d.kind: n for n, d in reversed([*enumerate(every[:30])])}
+    assert told[sorted(firsts.values())[:CLOSER]].max() > 0.85 * told.max()
 
 
 def _scanned(
     model: Model, base: list[Ground], known: list[Effect], sensor: int, drivers: list[Driver]
-) -> tuple[np.ndarray, list[tuple[int, bool]]]:
-    """Nats that the best law over each of these drivers gains, and the kind of its course."""
+) -> np.ndarray:
+    """Nats that the best law over each of these drivers gains."""
     blocks = [b for d in drivers for b in over(d, signals_of(model.parts[0]), (sensor,))]
     q = scan(model, [b.effect for b in blocks], base, 1.0)
     seen = beside(q, known, [b.effect for b in blocks])
-    nats = np.array([_most(b, seen) for b in blocks])
-    return nats, [(b.driver.knots, b.driver.round) for b in blocks]
+    return np.array([_most(b, seen) for b in blocks])
 
 
 def _most(block: Block, seen: Beside) -> float:

@@ -6,18 +6,17 @@ import itertools
 import json
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from test_explain import slow
-from worlds import recording_of
+from worlds import climbed_from, likeliest_laws, recording_of
 
 from handcal import user_effects
 from handcal.effects import Effect, Signals, imu_jacobian, select
-from handcal.estimate.baseline import baseline
+from handcal.estimate.baseline import baseline, dense
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
@@ -25,7 +24,6 @@ from handcal.estimate.specification import Options, chosen_of, document_of, sett
 from handcal.explain import explain, naming
 from handcal.explain.model_file import chosen_from
 from handcal.laws import (
-    best_law,
     course_numbers,
     courses,
     drivers,
@@ -41,14 +39,6 @@ from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
 from handcal.laws.weighing import Beside
-from handcal.search.budget import Budget
-from handcal.search.climb import in_place as places
-from handcal.search.climb import law_steps
-from handcal.search.climb.candidates import scanned
-from handcal.search.climb.in_place import with_term
-from handcal.search.climb.law_steps import narrow
-from handcal.search.climb.sequence import climbed
-from handcal.search.climb.state import Climb
 from handcal.search.noise_scan import all_noise
 from handcal.signals import probe
 from handcal.types import Array, Imu, Parameter, Recording
@@ -494,21 +484,30 @@ def drifting(omega: Array, f: Array) -> Array:  # noqa: ARG001
 
 
 @pytest.fixture(scope="module")
-def size_alone() -> tuple[Model, best_law.Term]:
+def size_alone() -> tuple[Model, Effect]:
     base = baseline([case_of(strange("gyro", size_of_the_rate))])
-    effect = law_effect.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
-    return base, best_law.Term(effect, 100.0)
+    return base, law_effect.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
 
 
 def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     """Each of them alone may gain something beside the others; the law needs none."""
-    base, term = size_alone
+    base, law = size_alone
     names = ("gyro_quadratic", "gyro_cross_products", "gyro_bias_walk")
-    many = fitted(base.parts, [*base.effects, *select(names), term.effect])
-    c = Climb(many, [term])
-    c.kept = frozenset(base.ids)
-    assert climbed(c, lambda *_: None)
-    assert c.model.ids == (*base.ids, term.effect.id)
+    many = fitted(base.parts, [*base.effects, *select(names), law])
+    assert climbed_from(many, base.ids).ids == (*base.ids, law.id)
+
+
+@pytest.mark.parametrize(("name", "size"), [("omega_{j} * f_{k}", 2e-3), ("f_{i} * t", 3e-5)])
+def test_the_best_law_of_a_long_recording_is_the_one_that_is_there(name: str, size: float) -> None:
+    """A first part decided what is asked about it, and does not show what is slow."""
+    driver = vocabulary.driver_of(name)
+
+    def product(imu: Imu) -> Array:
+        x = driver.of(Signals(imu.t - imu.t[0], imu.gyro, imu.accel), 2)
+        return np.outer(size * x, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+    law, *_ = likeliest_laws(dense(baseline([case_of(held(0, 100.0, product))])))
+    assert law.id == f"gyro_z += k * {driver.said(2)}"
 
 
 @pytest.mark.parametrize(("place", "width"), [(0.43, 0.05), (-0.7, 0.12), (1.1, 0.03)])
@@ -539,16 +538,11 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     """A gain that drifts is a product with the time and a scale error. Noise that goes with the
     motion holds both, and no half of it alone is worth as much."""
     base = baseline([case_of(strange("gyro", drifting))])
-    effect = law_effect.effect_of(law_over("omega_{i} * t", formula("line"), (1,)))
-    term = best_law.Term(effect, 100.0)
-    whole = with_term(base, term, 1.0, frozenset())
-    assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
+    whole = climbed_from(base, base.ids)
+    assert "gyro_scale" in whole.ids
+    assert [e.id for e in whole.effects if not e.common] == [*base.ids, "gyro_y += k * omega_y * t"]
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
-    # (a name is not fitted where all that it promises is of no use)
-    far = replace(whole, log_evidence=whole.log_evidence + 1e4)
-    alone = with_term(base, term, 1.0, frozenset(), far)
-    assert set(alone.ids) - set(base.ids) == {"gyro_y += k * omega_y * t"}
 
 
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
@@ -556,25 +550,17 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     base = baseline([case_of(strange("gyro", friction))])
     form = grammar.formula([("sign", (0.02,))])
     wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
-    term = best_law.Term(law_effect.effect_of(wide), 100.0)
-    c = Climb(fitted(base.parts, [*base.effects, term.effect]), [term])
-    c.where = scanned(c)
-    for axes in ((0, 2), (1, 2)), ((2,),):
-        narrower = narrow(c)
-        assert narrower is not None
-        c.model = narrower
-        law = law_effect.law_of(c.unnamed[0].effect)
-        assert law is not None
-        assert law.axes in axes
-        assert c.unnamed[0].effect.id in narrower.ids
-    assert narrow(c) is None
+    model = fitted(base.parts, [*base.effects, law_effect.effect_of(wide)])
+    found = climbed_from(model, base.ids)
+    (law,) = (law for law in map(law_effect.law_of, found.effects) if law is not None)
+    assert (law.sensor, law.axes) == (0, (2,))
 
 
 def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:
-    base, term = size_alone
+    base, straight = size_alone
     over = Range(0.0, 4.0, 4.0)
     smooth = law_effect.effect_of(law_over("|omega|", grammar.curve(over, 5, 1.0, 1.0), (0, 1, 2)))
-    for effect in (term.effect, smooth):
+    for effect in (straight, smooth):
         model = fitted(base.parts, [*base.effects, effect])
         chosen = chosen_of(model, Options(), {})
         again = chosen_from(json.loads(json.dumps(document_of(chosen))))
@@ -607,64 +593,3 @@ def test_a_curve_that_was_found_is_written_out_with_what_was_found(size_alone, t
     np.testing.assert_allclose(
         read.imu_error(np.ones(1), s), wanted, rtol=0.0, atol=1e-6 * np.abs(wanted).max()
     )
-
-
-@pytest.mark.parametrize(
-    ("scores", "asked"),
-    [
-        # (in the place of a alone the law is far from the best: with b gone too it is no better)
-        ({"": 500.0, "a": 100.0, "ab": 700.0}, ["a"]),
-        ({"": 500.0, "a": 450.0, "ab": 700.0}, ["a", "ab"]),
-        # (of what diverged nothing is known)
-        ({"": 500.0, "a": -np.inf, "ab": 700.0}, ["a", "ab"]),
-    ],
-)
-def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less(
-    scores: dict[str, float], asked: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    @dataclass(frozen=True)
-    class Fake:
-        ids: tuple[str, ...]
-        gone: str
-
-    model, seen = Fake(("a", "b", "c"), "none"), []
-    term = best_law.Term(select(("gyro_scale",))[0], 10.0)
-
-    def in_place(_c: Any, _sensor: str, ids: frozenset[str]) -> list[tuple[Fake, best_law.Term]]:
-        gone = "".join(sorted(ids))
-        seen.append(gone)
-        return [(Fake(tuple(i for i in model.ids if i not in ids), gone), term), (model, term)]
-
-    def fitted_with(m: Fake, *_: Any) -> Fake:
-        return Fake((*m.ids, "law"), "" if m is model else m.gone)
-
-    monkeypatch.setattr(places, "_in_place", in_place)
-    monkeypatch.setattr(places, "with_term", fitted_with)
-    monkeypatch.setattr(places, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
-    climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set(), budget=Budget())
-    sets = {"gyro": [frozenset("a"), frozenset("ab")]}
-    ends, _ = places._ends(climb, sets, last=True)
-    assert seen == asked
-    assert {m.gone for m, _ in ends} == {"", *asked}
-
-
-def test_names_that_are_told_from_a_law_stay_beside_it() -> None:
-    """A scale error that goes with the law may be part of it; one that does not, and what is of
-    another sensor, is not."""
-    law = law_effect.effect_of(law_over("f_{i}", formula("cube"), (0,), 1))
-    effects = (*select(("accel_scale", "accel_misalignment", "gyro_scale")), law)
-    names = tuple((e.id, p.name) for e in effects for p in e.parameters)
-    covariance = np.diag(np.arange(1.0, 1.0 + len(names)) ** 2)
-    x, k = names.index(("accel_scale", "x")), len(names) - 1
-    covariance[x, k] = covariance[k, x] = -0.8 * (1.0 + x) * (1.0 + k)
-    y = names.index(("gyro_scale", "y"))
-    covariance[y, k] = covariance[k, y] = 0.7 * (1.0 + y) * (1.0 + k)
-    model: Any = SimpleNamespace(
-        ids=tuple(e.id for e in effects), effects=effects, covariance=covariance,
-        quadratic=SimpleNamespace(names=names),
-    )  # fmt: skip
-    climb: Any = SimpleNamespace(model=model, kept=frozenset())
-    term = best_law.Term(law, 10.0)
-    assert law_steps._beside(climb, term) == [frozenset({"accel_scale", law.id})]
-    covariance[x, k] = covariance[k, x] = 0.3 * (1.0 + x) * (1.0 + k)
-    assert law_steps._beside(climb, term) == []

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,19 +14,16 @@ from scipy.special import logsumexp
 from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
-from handcal.estimate.baseline import baseline, started
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.prior_scales import LOG_SHARES, SCALES
 from handcal.estimate.quadratic import Quadratic
 from handcal.model_score import PRIOR
-from handcal.search import multistart
+from handcal.search import climb
+from handcal.search.beyond_columns import akin
 from handcal.search.budget import Budget
-from handcal.search.climb import sequence
-from handcal.search.climb.candidates import scanned
-from handcal.search.climb.exchange_steps import akin
-from handcal.search.climb.state import Climb
-from handcal.search.noise_scan import all_noise
+from handcal.search.candidates import scanned_about
 from handcal.search.space import (
     Space,
     best_set,
@@ -306,8 +304,8 @@ def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
     odds = {}
     for stream in ("heading", "pose"):
         case = case_of(recording_of(held, stream))
-        c = Climb(fitted([started(case)], ()), ())
-        odds[stream] = scanned(c).prior["size_effect"]
+        model = fitted([started(case)], ())
+        odds[stream] = scanned_about(model).prior["size_effect"]
     assert odds["pose"] == PRIOR
     assert odds["heading"] == PRIOR - catalogue()["size_effect"].imitated < PRIOR - 10.0
 
@@ -316,27 +314,7 @@ def test_a_climb_goes_on_while_its_steps_lead_higher(monkeypatch: pytest.MonkeyP
     """Two laws behind errors with the motion take more than twenty steps, the last of which puts
     the right one in its place."""
     steps = iter([*range(25), None])
-    climb = Climb.__new__(Climb)
-    climb.budget, climb.needed, climb.model = Budget(), [], None
-    monkeypatch.setattr(sequence, "scanned", lambda _: None)
-    monkeypatch.setattr(sequence, "gains", lambda *_: {})
-    monkeypatch.setattr(sequence, "_STEPS", {lambda _: next(steps): "anything"})
-    assert sequence.climbed(climb, lambda *_: None)
-    assert climb.model == 24
-
-
-def test_noise_without_a_name_may_stand_for_a_law_and_strong_names_may_not() -> None:
-    """What goes with the motion has no name either, and was not asked when it stood alone."""
-    scale = {"gyro_scale": [0.03, -0.02, 0.03]}
-    world = simulate("free-hand", seed=0, duration_s=20.0, effects=scale)
-    base = baseline([case_of(recording_of(world, "heading"))])
-    nameless = next(e for e in all_noise() if "+=" in e.id)
-
-    def may(*effects: Effect) -> bool:
-        c = Climb(fitted(base.parts, effects), ())
-        return multistart._may_stand_in(multistart.Found(c.model, scanned(c), {}, {}))
-
-    assert may(nameless)
-    assert not may(*select(["gyro_scale"]))
-    assert may(*select(["gyro_scale"]), nameless)
-    assert not may()
+    monkeypatch.setattr(climb, "_next", lambda *_: next(steps))
+    c = climb.Climb(frozenset(), frozenset(), Budget(), climb.Made())
+    start: Any = None
+    assert climb.climbed(c, start, lambda *_: None) == 24

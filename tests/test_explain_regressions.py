@@ -14,7 +14,7 @@ from worlds import recording_of
 
 from handcal import observations
 from handcal.compiled import so3
-from handcal.effects import Signals, accel_delay, catalogue, select
+from handcal.effects import Effect, Signals, accel_delay, select
 from handcal.estimate import case, fit, noise_levels, observed, pieces
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.calibration import calibrate
@@ -26,12 +26,11 @@ from handcal.estimate.quadratic import posterior
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain import Explanation, assembled, explain, pipeline
+from handcal.model_score import prior
 from handcal.observations import pose
-from handcal.search import outliers
-from handcal.search.climb import sequence, subset_steps
-from handcal.search.climb.state import Climb, likelier
+from handcal.search import climb, outliers
+from handcal.search.climb import raises
 from handcal.search.multistart import astray, leading
-from handcal.search.space import Space, gains
 from handcal.types import HandcalError, InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
@@ -406,37 +405,18 @@ def test_numbers_that_ran_away_have_no_evidence() -> None:
     assert np.isfinite(done.w).all()
 
 
-def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Where the last turn put a term in another's place, the last scan did not hold it, and
-    explain ended in a KeyError."""
-    base = base_of(world_of({"gyro_scale": [0.01, -0.008, 0.012]}, 0, 40.0))
-    monkeypatch.setattr(sequence, "ROUNDS", 1)
-    monkeypatch.setattr(sequence, "MAX_TERMS", 0)
-
-    def renamed(c: Climb) -> Model:
-        scale = replace(catalogue()["gyro_scale"], id="gyro_x += k * anything")
-        return fit.fitted(c.model.parts, [scale])
-
-    monkeypatch.setattr(sequence, "_STEPS", {renamed: "anything"})
-    c = Climb(base, ())
-    assert sequence.climbed(c, lambda *_: None)
-    assert c.model.chosen <= set(c.where.effects)
-    assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
-
-
 def test_what_swings_by_more_than_it_gains_is_not_likelier() -> None:
     """On a real recording a low pass and a law of the angular acceleration, which are the same,
     swung by hundreds of nats from round to round, and the last of them counted."""
     base = base_of(world_of(GYRO, 0, 20.0))
-    c = Climb(fitted(base.parts, ()), ())
-    c.where = sequence.scanned(c)
     better = fitted(base.parts, select(["gyro_scale"]))
-    gain = better.log_evidence - c.model.log_evidence
-    assert likelier(c, better)
-    assert likelier(c, replace(better, swing=0.1 * gain))
-    assert not likelier(c, replace(better, swing=2.0 * gain))
+    gain = better.log_evidence - base.log_evidence
+    assert raises(base, better, 0.5)
+    assert raises(base, replace(better, swing=0.1 * gain), 0.5)
+    assert not raises(base, replace(better, swing=2.0 * gain), 0.5)
+    assert not raises(better, better, 1.0)
+    # (what no device has is no better model)
+    assert not raises(base, replace(better, u=1e3 * better.u), 0.5)
 
 
 def test_a_fit_keeps_one_reduction_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -470,24 +450,21 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
     """A scan promised a term, the fit with it lost half a million nats, and the search went on
     from there: about such a fit, anything may be named."""
     world = world_of({"gyro_scale": [0.01, -0.008, 0.012]}, seed=0, seconds=40.0)
-    real = subset_steps._fit
+    promised: list[str] = []
 
-    def astray(c: Climb, chosen: frozenset[str]) -> Model:
-        fit = real(c, chosen)
-        return replace(fit, log_evidence=-1e6) if "lever_arm" in chosen else fit
+    def astray(parts: Any, effects: Any, **how: Any) -> Model:
+        model = fitted(parts, effects, **how)
+        return replace(model, log_evidence=-1e6) if "gyro_quadratic" in model.ids else model
 
-    promised = sequence.scanned
+    def odds(effect: Effect, cases: Any) -> float:
+        promised.append(effect.id)
+        return 1e4 if effect.id == "gyro_quadratic" else prior(effect, cases)
 
-    def scanned(c: Climb) -> Space:
-        where = promised(c)
-        if where.prior["lever_arm"] < -1e3:
-            return where
-        return replace(where, prior={**where.prior, "lever_arm": 1e4}, scores={})
-
-    monkeypatch.setattr(subset_steps, "_fit", astray)
-    monkeypatch.setattr(sequence, "scanned", scanned)
+    monkeypatch.setattr(climb, "fitted", astray)
+    monkeypatch.setattr(climb, "prior", odds)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
+    assert "gyro_quadratic" in promised
 
 
 def test_readings_where_there_is_no_heading_do_not_stand_out() -> None:

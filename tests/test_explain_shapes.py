@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import recording_of
+from worlds import likeliest_laws, recording_of
 
 from handcal.compiled.jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
@@ -16,7 +16,6 @@ from handcal.estimate.case import case_of
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
 from handcal.laws import courses, shapes
-from handcal.laws.best_law import best_term, survey
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, Thermometer, consumer_phone, with_rate
@@ -189,9 +188,8 @@ def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
         "heading": replace(heading, value=heading.value + error[:, None]),
         "temperature": replace(warmth, value=25.0 + x[:, None]),
     }
-    term = best_term(survey(baseline([case_of(replace(recording, streams=streams))])))
-    assert term is not None
-    assert term.effect.id == f"heading += k * (T - 25){'^2' * square}"
+    law, *_ = likeliest_laws(baseline([case_of(replace(recording, streams=streams))]))
+    assert law.id == f"heading += k * (T - 25){'^2' * square}"
 
 
 def test_a_course_whose_arithmetic_is_lost_is_no_candidate() -> None:

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from functools import partial
 
 import numpy as np
 
 from handcal.earth import local_earth
-from handcal.effects import select
+from handcal.effects import Effect, select
 from handcal.estimate.assemble import build
+from handcal.estimate.model import Model
 from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start, from_pose, from_rest
+from handcal.model_score import prior
 from handcal.observations import Scene, catalogue
+from handcal.search.budget import Budget
+from handcal.search.climb import Climb, Made, climbed
+from handcal.search.response import response
+from handcal.search.select import Priors, chosen
+from handcal.search.select_laws import courses_on, groups_of, laws_of
 from handcal.types import Imu, Recording, Series
 from handcal_sim.scenario import World
 
@@ -112,3 +120,23 @@ def part_of(recording: Recording, begin: float, end: float) -> Recording:
         k = (series.t >= begin) & (series.t <= end)
         streams[name] = Series(series.t[k], series.value[k])
     return Recording(recording.path, cut, streams)
+
+
+def climbed_from(model: Model, kept: Collection[str]) -> Model:
+    """The end of a climb from a model, with effects that are kept whatever they gain."""
+    c = Climb(frozenset(kept), frozenset(), Budget(), Made())
+    return climbed(c, model, lambda *_: None)
+
+
+def likeliest_laws(model: Model) -> list[Effect]:
+    """Laws beside a model without noise by its matrix, in groups by sensor, the best one first."""
+    r = response(model)
+    odds = partial(prior, cases=[f.case for f in model.parts])
+    priors = Priors(odds, always=model.chosen)
+    choice = chosen(r, priors, model.chosen, {})
+    found = [
+        list(groups_of(laws_of(r, priors, choice, sensor, courses)))
+        for sensor, courses in courses_on(r.windows).items()
+    ]
+    ranked = sorted((groups for groups in found if groups), key=lambda groups: -groups[0][0].score)
+    return [law.effect for groups in ranked for group in groups for law in group]

@@ -144,7 +144,7 @@ def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = Non
     D, g = _driven(about, effects, [(s.owner, s.name) for s in slots], seen)
     nu, work = np.empty((len(done.S), len(slots))), _work(done, len(slots))
     kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (0, len(done.arrays.A)))
-    return Wider(_with(done, effects), done.nu, nu, done.S, _likelihood(done, nu))
+    return Wider(_with(done.reduction, effects), done.nu, nu, done.S, _likelihood(done, nu))
 
 
 def _work(done: ReducedPass, columns: int) -> kernel.FollowedWork:
@@ -155,10 +155,9 @@ def _work(done: ReducedPass, columns: int) -> kernel.FollowedWork:
     )  # fmt: skip
 
 
-def _with(done: ReducedPass, effects: Sequence[Effect]) -> Reduction:
+def _with(reduction: Reduction, effects: Sequence[Effect]) -> Reduction:
     """The reduction with the constants of absent effects appended."""
-    slots, reduction = slots_of(effects), done.reduction
-    linear = reduction.linear
+    slots, linear = slots_of(effects), reduction.linear
     problem = replace(
         linear.problem,
         slots=(*linear.problem.slots, *slots),
@@ -181,20 +180,27 @@ class Spread:
 
 
 def spread(
-    about: Ground, pattern: Sequence[Effect], effects: Sequence[Effect], place: IntArray
+    about: Ground,
+    pattern: Sequence[Effect],
+    effects: Sequence[Effect],
+    place: IntArray,
+    beside: Wider | None = None,
 ) -> Spread:
     """The pass with columns for constants that differ from epoch to epoch.
 
     pattern: effects that define the action of c constants. place (K, c): index into the constants
-    of ``effects`` that each of these is from epoch k to the next. Columns are computed in pieces,
-    so that thousands of them take little memory.
+    of ``effects`` that each of these is from epoch k to the next. beside: the same pass with other
+    further constants. Columns are computed in pieces, so that thousands of them take little memory.
     """
     done, names = about.done, [(s.owner, s.name) for s in slots_of(pattern)]
     D_one, g_one = _driven(about, pattern, names, None)
     scale = np.array([s.prior_sigma for s in slots_of(effects)])
     columns, first = len(scale), done.reduction.first
+    there, (a0, b0, G0) = (
+        (done.nu, done.log_likelihood) if beside is None else (beside.nu, beside.log_likelihood)
+    )
     epoch = np.searchsorted(first, np.arange(len(done.S)), side="right") - 1
-    work, known = _work(done, columns), 1 + len(done.log_likelihood[1])
+    work, known = _work(done, columns), 1 + len(b0)
     gram: Array = np.zeros((columns, known + columns))
     step = max(1, int(PIECE / max(columns, 1) * len(place) / max(len(done.S), 1)))
     for a in range(0, len(place), step):
@@ -212,12 +218,12 @@ def spread(
         # (a column is zero until its epoch)
         begun = np.flatnonzero(nu.any(axis=0))
         some = weight * nu[:, begun]
-        gram[begun, :known] += some.T @ (weight * done.nu[s])
+        gram[begun, :known] += some.T @ (weight * there[s])
         gram[np.ix_(begun, known + begun)] += some.T @ some
-    a0, b0, G0 = done.log_likelihood
     mixed, own = gram[:, :known], gram[:, known:]
     whole = np.block([[G0, mixed[:, 1:].T], [mixed[:, 1:], own]])
-    return Spread(_with(done, effects), (a0, np.r_[b0, -mixed[:, 0]], whole))
+    reduction = done.reduction if beside is None else beside.reduction
+    return Spread(_with(reduction, effects), (a0, np.r_[b0, -mixed[:, 0]], whole))
 
 
 def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:

@@ -16,7 +16,7 @@ from handcal.estimate.linear import beside
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.transfer import fit_of, moved_to
 
-# Times the first guess of each level at which a look is taken (a memory, not the smallest of them).
+# Times the first guess of each level at which a look is taken.
 TIMES = (0.1, 0.3, 1.0, 3.0)
 # Nats that a walk of a bias must gain to be a part of a model that is not searched for.
 EVIDENT = 7.5
@@ -57,7 +57,7 @@ def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:
     """With the levels of a noise effect at the best of a few times their first guesses."""
     reduction, best = reduce(f.linear), (f.bare, -math.inf)
     size, *others = e.levels
-    for times in product(*[TIMES[1:]] * len(others)):
+    for times in product(*[TIMES] * len(others)):
         before = -math.inf
         for factor in TIMES:
             levels = dict(f.levels)

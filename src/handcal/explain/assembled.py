@@ -53,9 +53,9 @@ from handcal.explanation import (
     broken_off,
 )
 from handcal.search import outliers
-from handcal.search.climb.state import too_large
 from handcal.search.hand_assumption import hand_of
 from handcal.search.multistart import Found
+from handcal.search.plausible import too_large
 from handcal.types import Array, Parameter, Prior, Result
 
 # Nats below which a recording does not promise to show an effect of the usual size.

@@ -19,7 +19,7 @@ from handcal.laws.curve import drawn, drivers_of
 from handcal.laws.law_effect import channels_of
 from handcal.model_score import CERTAIN, NAMED, probability
 from handcal.search import outliers
-from handcal.search.climb.exchange_steps import ALIKE, akin
+from handcal.search.beyond_columns import ALIKE, akin
 from handcal.search.common_found import Shown, parameters_in, shown, stands_out
 from handcal.search.multistart import Found
 from handcal.search.space import Space, expected_gain, gains, probabilities, rivals

@@ -40,13 +40,14 @@ from handcal.explanation import (
 from handcal.laws.with_motion import is_with_motion
 from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
-from handcal.search.budget import SO_FAR, Budget, after
-from handcal.search.climb.candidates import scanned_about
-from handcal.search.climb.state import Report, part_of, sensible, too_large
+from handcal.search.budget import SO_FAR, Budget, Report, after, part_of
+from handcal.search.candidates import scanned_about
+from handcal.search.climb import Made
 from handcal.search.common_found import names_of
 from handcal.search.drifting_point import begun, moving
 from handcal.search.hand_assumption import foretold
 from handcal.search.multistart import Found, advantage, astray, search
+from handcal.search.plausible import sensible, too_large
 from handcal.search.space import best_set, gains, space
 from handcal.types import BoolArray, HandcalError, InputError, Prior, Recording
 
@@ -90,17 +91,17 @@ def explain(
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
     base = dense(begun(cases))
-    time_left = after(began, budget, stop)
+    time_left, made = after(began, budget, stop), Made()
     # (about a diverged baseline, sums overflow)
     overflow: Literal["ignore"] | None = None if math.isfinite(base.log_evidence) else "ignore"
     with np.errstate(over=overflow, invalid=overflow):
-        end = _searched(base, time_left, _so_far(report, SEARCHING, base, 0.1, 0.6))
+        end = _searched(base, time_left, made, _so_far(report, SEARCHING, base, 0.1, 0.6))
     if assume == "auto":
-        end = _by_the_rests(cases, end, options, time_left, report)
+        end = _by_the_rests(cases, end, options, time_left, made, report)
     if not math.isfinite(end.found.model.log_evidence):
         raise no_fit(recordings)
     report(0.75, "fitting the model that was found")
-    end, chosen = _counted(*_finished(end, options, time_left, report), options)
+    end, chosen = _counted(*_finished(end, options, time_left, made, report), options)
     end = replace(end, base=plain(end.base))
     told = _told(end.found)
     report(0.8, "predicting what was not seen")
@@ -127,7 +128,7 @@ def _check(
 
 
 def _finished(
-    end: End, options: Options, budget: Budget, report: Progress
+    end: End, options: Options, budget: Budget, made: Made, report: Progress
 ) -> tuple[End, Specification | None]:
     """The end of the search with the final fit of its model, and the specification of that fit. If
     the fit comes to implausible sizes, the search is repeated without those effects."""
@@ -137,7 +138,7 @@ def _finished(
         # (the search's own fits had plausible sizes)
         told = _so_far(report, "searching again", end.base, 0.75, 0.05)
         base = dense(plain(end.base), large) if large & set(end.base.ids) else end.base
-        other = search(base, told, large, budget)
+        other = search(base, told, large, budget, made=made)
         again, written = _refitted(replace(end, base=base), other, options)
         if sensible(again.model):
             # (this search used all readings, so that there are no outliers)
@@ -193,7 +194,12 @@ def _case(recording: Recording, assume: str, options: Options) -> Case:
 
 
 def _by_the_rests(
-    cases: Sequence[Case], end: End, options: Options, budget: Budget, report: Progress
+    cases: Sequence[Case],
+    end: End,
+    options: Options,
+    budget: Budget,
+    made: Made,
+    report: Progress,
 ) -> End:
     """The end of a search from the rests alone, if the hand seems to travel and the rests
     contradict a held point; else the same end.
@@ -214,7 +220,7 @@ def _by_the_rests(
     if not math.isfinite(laid.log_evidence):
         return end
     told = _so_far(report, "searching by the rests alone", laid, 0.4, 0.3)
-    other = _searched(laid, budget, told)
+    other = _searched(laid, budget, made, told)
     surely = foretold(end.found, laid, other.found)
     if surely > 0.0:
         return replace(end, surely=surely)
@@ -283,14 +289,14 @@ def _so_far(report: Progress, stage: str, base: Model, start: float, share: floa
     return partial(part_of, told, start, share)
 
 
-def _searched(base: Model, budget: Budget, report: Report) -> End:
+def _searched(base: Model, budget: Budget, made: Made, report: Report) -> End:
     """The end of the search from this baseline, with outliers and moving hands on trial."""
     # (about a diverged fit any reading looks like an outlier)
     told = not astray(base)
     cleaned, wrong = outliers.cleaned(base) if told else (base, None)
     base, cleaned = base.bare, cleaned.bare
     hand = _Hand(base, told and wrong is None, budget)
-    found = search(cleaned, report, budget=budget, superseded=hand.moves)
+    found = search(cleaned, report, budget=budget, superseded=hand.moves, made=made)
     again = wrong is not None and wrong.burst is not None
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
@@ -300,17 +306,19 @@ def _searched(base: Model, budget: Budget, report: Report) -> End:
             again = _promises(whole, found.model)
     if wrong is not None and again:
         # (a burst may be a known heading error, and outliers may be the readings after a step)
-        other = search(base, report, budget=budget)
+        other = search(base, report, budget=budget, made=made)
         if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
             found, wrong = other, None
     if wrong is None:
-        found, wrong = _without_outliers(base, base if told else found.model, found, budget, report)
+        found, wrong = _without_outliers(
+            base, base if told else found.model, found, budget, made, report
+        )
     still = wrong is not None or budget.spent(_MOVES)
     other_hand = None if still else hand.other(found)
     if other_hand is None:
         return End(base, found, wrong, math.nan)
     base, surely = other_hand
-    return End(base, search(base, report, budget=budget), wrong, surely, moves=True)
+    return End(base, search(base, report, budget=budget, made=made), wrong, surely, moves=True)
 
 
 def _promises(whole: Model, model: Model) -> bool:
@@ -321,7 +329,7 @@ def _promises(whole: Model, model: Model) -> bool:
     """
     if not math.isfinite(whole.log_evidence):
         return True
-    about = scanned_about(whole.bare, (), frozenset())
+    about = scanned_about(whole.bare)
     gained = about.score(best_set(about, whole.chosen)) - about.score(whole.chosen)
     worth = about.quadratic.worth
     return gained > worth * (model.log_evidence - whole.log_evidence) + PRIOR
@@ -374,7 +382,7 @@ def _fits_without(found: Found, masks: Sequence[BoolArray | None], cases: Sequen
 
 
 def _without_outliers(
-    start: Model, about: Model, found: Found, budget: Budget, report: Report
+    start: Model, about: Model, found: Found, budget: Budget, made: Made, report: Report
 ) -> tuple[Found, outliers.Wrong | None]:
     """The search repeated without headings that stand out from their neighbours about a model, if
     that raises the score. (Missing physics may have hidden these outliers before.)"""
@@ -386,7 +394,7 @@ def _without_outliers(
     if not _fits_without(found, masks, cases):
         return found, None
     begin = [started(c, start.effects) for c in cases]
-    other = search(fitted(begin, start.effects, noise_rounds=2), report, budget=budget)
+    other = search(fitted(begin, start.effects, noise_rounds=2), report, budget=budget, made=made)
     gain = advantage(other, found)
     if gain + PRIOR < 0.0:
         return found, None

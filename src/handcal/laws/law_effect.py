@@ -245,7 +245,9 @@ def _named(key: tuple[Any, ...], known: Catalogue) -> bool:
         changing = np.ptp(columns, axis=0).any()
         inside = spanned(known_headings(known), columns - columns.mean(axis=0))
         return bool(changing and inside.all())
-    J = imu_jacobian(effect_of(law), np.zeros(0), _probing())
+    # (an exponential may be beyond all numbers on the probing motion: that lies in no span)
+    with np.errstate(over="ignore", invalid="ignore"):
+        J = imu_jacobian(effect_of(law), np.zeros(0), _probing())
     return bool(spanned(_catalogue(known), J.transpose(1, 0, 2).reshape(6 * PROBED, -1)).all())
 
 
@@ -324,7 +326,6 @@ def basis(columns: Array) -> Array:
 
 def spanned(Q: Array, U: Array) -> BoolArray:
     """Which columns of U (n, q) lie in the span of the orthonormal ones Q (n, r)."""
-    # (an exponential may be beyond all numbers on the probing motion: that lies in no span)
     with np.errstate(over="ignore", invalid="ignore"):
         whole = np.einsum("nq,nq->q", U, U)
         part = np.einsum("nr,nq->rq", Q, U)

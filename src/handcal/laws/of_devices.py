@@ -34,7 +34,7 @@ SHARES = {"sign": (0.05, 0.3), "dead zone": (0.1, 0.3), "compression": (0.5, 1.0
 SCALE = {"rad/s": 2.0, "m/s^2": 10.0}
 # Samples of the motion from which usual sizes come.
 PROBED = 400
-# Columns that one scan looks at: as many as `best_law` does.
+# Columns that one scan looks at.
 COLUMNS = 140
 # Information below this part of a usual size's is rounding.
 LEAST = 1e-6

@@ -198,7 +198,11 @@ def _tried(
     a sum of two, and a sum of two with the same numbers."""
     forms = [formula([part]) for part in parts]
     sizes = np.array([rms_of(law, form, about_.signals) for form in forms])
-    some = np.flatnonzero(sizes > 1e-9)
+    # (a function that has a name is left to that name)
+    some = [
+        n for n, form in enumerate(forms)
+        if sizes[n] > 1e-9 and not named(_plainly(replace(law, form=form)))
+    ]  # fmt: skip
     effects = [
         replace(
             effect_of(replace(law, form=forms[n], sigmas=(SIZE[law.sensor] / sizes[n],))),
@@ -208,7 +212,7 @@ def _tried(
     ]
     seen = about_.seen(effects)
     out: list[tuple[Law, float]] = []
-    for sets, same in _sets([int(n) for n in some], parts):
+    for sets, same in _sets(some, parts):
         index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
         costs = [cost_of([parts[n] for n in chosen], same) for chosen in sets]
         values, wanted = seen.gains(np.array(index)) - costs, len(out) + most

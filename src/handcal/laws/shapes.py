@@ -194,14 +194,22 @@ def closest(
         at, begun = _repeated(family, starts, values @ b, values @ G, values)
         ends.append((begun, family, at, starts))
     ends = sorted(ends, key=lambda end: -end[0])[:CLOSER]
+    # (between the moments of the grid one course may do what two do on it)
+    ends += [
+        (begun, family, at[: starts.shape[1]], starts)
+        for begun, family, at, starts in ends
+        if len(at) > starts.shape[1]
+    ]
     found: list[tuple[float, Family, Array]] = []
     for begun, family, numbers, starts in ends:
         lost = partial(_lost, family, basis.grid, gain)
         at = _adjusted(lost, numbers, starts, float(basis.grid[1] - basis.grid[0]))
         value = -lost(at) - FREEDOM - _cost(at) if begun > -math.inf else begun
         found.append((value, family, at))
-    found.sort(key=lambda end: -end[0])
-    return [(term_of(basis, family, numbers), value) for value, family, numbers in found]
+    best: dict[str, tuple[float, Family, Array]] = {}
+    for value, family, at in sorted(found, key=lambda end: -end[0]):
+        best.setdefault(family.name, (value, family, at))
+    return [(term_of(basis, family, numbers), value) for value, family, numbers in best.values()]
 
 
 def _gained(linear: Array, information: Array) -> Array:

@@ -7,7 +7,7 @@ with a matrix. (A scan of a thousand courses would take as long as this one.)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -16,9 +16,8 @@ import numpy as np
 
 from handcal.effects import Effect, Param, Signals
 from handcal.effects._linear import added
-from handcal.estimate.columns import Ground, spread
+from handcal.estimate.columns import Ground, Wider, spread
 from handcal.estimate.forked import in_parallel
-from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic, local
 from handcal.laws.drivers import COURSELESS, HEADING, LINE, Driver
 from handcal.laws.grammar import curves, range_of
@@ -36,6 +35,8 @@ RATE = 40.0
 CHANGING = 0.3
 # Courses that are computed and evaluated at a time.
 TOGETHER = 500
+# Drivers of these of which a law of its own on each axis is evaluated exactly.
+EXACT = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +93,23 @@ def windows_about(about: Ground) -> Windows:
     return Windows(np.array(edges), np.array(first), max(phase) + 1, np.array(phase))
 
 
-def looked_at(model: Model, about: Ground, windows: Windows, sensor: int) -> Quadratic:
-    """The quadratic of a model's effects and of a constant in each window on each axis of a sensor,
-    named as in ``constants``."""
-    axes, count = AXES_OF[sensor], len(windows.phase)
-    pattern = [_phases(sensor, axis, windows) for axis in axes]
+def looked_at(
+    ids: Iterable[str],
+    about: Ground,
+    windows: Windows,
+    sensors: Iterable[int],
+    beside: Wider | None = None,
+) -> Quadratic:
+    """The quadratic of these effects and of a constant in each window on each axis of the sensors,
+    named as in ``constants``; beside: the pass with further effects."""
+    channels = [(sensor, axis) for sensor in sensors for axis in AXES_OF[sensor]]
+    count = len(windows.phase)
+    pattern = [_phases(*channel, windows) for channel in channels]
     own = np.minimum(windows.first[:, None] + np.arange(windows.within), count - 1)
-    place = np.hstack([own + count * n for n in range(len(axes))])
-    every = [constants(sensor, axis, count) for axis in axes]
-    done = spread(about, pattern, every, place)
-    return local(done, frozenset([*model.ids, *(e.id for e in every)])).quadratic
+    place = np.hstack([own + count * n for n in range(len(channels))])
+    every = [constants(*channel, count) for channel in channels]
+    done = spread(about, pattern, every, place, beside)
+    return local(done, frozenset([*ids, *(e.id for e in every)])).quadratic
 
 
 def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int) -> Array:
@@ -150,6 +158,12 @@ def windows_of(t: Array, all_: Array, width: float = WINDOW) -> IntArray:
     return np.asarray(np.minimum(((t - all_[0]) / width).astype(np.int64), last))
 
 
+def seldom(signals: Signals) -> Signals:
+    """Signals no oftener than ``RATE``."""
+    rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
+    return some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
+
+
 def courses_of(
     drivers: Sequence[Driver],
     signals: Signals,
@@ -162,8 +176,7 @@ def courses_of(
     sensor: sets the number of axes, the same for both IMU sensors. count: of windows. windows: maps
     times (n,) to their windows.
     """
-    rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
-    fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
+    fewer = seldom(signals)
     window = windows(fewer.t)
     first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
     many = np.diff(np.r_[first, len(fewer.t)])
@@ -226,13 +239,13 @@ def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effe
     return _added("windows", sensor, axis, count, columns)
 
 
-def halves(sensor: int, axis: int, some: IntArray, width: float) -> Effect:
+def halves(sensor: int, axis: int, some: IntArray, windows: Windows) -> Effect:
     """An error of a channel that changes sign in the middle of each of these windows (k,)."""
 
     def columns(signals: Signals) -> Array:
-        passed = (signals.t - signals.t[0]) / width
-        there = np.floor(passed)[:, None] == some
-        return np.asarray(there * np.where(passed % 1.0 < 0.5, 1.0, -1.0)[:, None])
+        own = windows.of(signals.t)
+        first = signals.t < 0.5 * (windows.edges[own] + windows.edges[own + 1])
+        return np.asarray((own[:, None] == some) * np.where(first, 1.0, -1.0)[:, None])
 
     return _added("halves", sensor, axis, len(some), columns)
 
@@ -255,7 +268,7 @@ def _added(
 
 def gains_of(of: Courses, seen: Beside) -> Array:
     """Gain (d,) of a law over each driver, nats: the best of one axis alone, one law for all axes,
-    and a law of its own on each axis (sum over axes, as if independent)."""
+    and a law of its own on each axis (for the ``EXACT`` drivers of the largest sums over axes)."""
     axes, at = range(of.means.shape[1]), list(seen.at.values())
     G = {(a, o): seen.G[np.ix_(at[a], at[o])] for a in axes for o in axes[a:]}
     out = []
@@ -276,6 +289,23 @@ def gains_of(of: Courses, seen: Beside) -> Array:
                 for way in ways
             ]
         ).max(axis=1)
-        each = np.maximum(ends[: len(axes)], 0.0).sum(axis=0)
-        out.append(np.maximum(ends.max(axis=0), each))
+        best = ends.max(axis=0)
+        likely = np.argsort(-np.maximum(ends[: len(axes)], 0.0).sum(axis=0))[:EXACT]
+        best[likely] = np.maximum(best[likely], _each(b, felt, of.roots, likely))
+        out.append(best)
     return np.concatenate(out)
+
+
+def _each(
+    b: Sequence[Array], G: Mapping[tuple[int, int], Array], roots: Array, some: IntArray
+) -> Array:
+    """Gain of a law of its own on each axis, over some of the drivers; b (d, c) by axis, and G
+    (d, c, c) by pair of axes."""
+    axes = range(len(b))
+    whole = np.block(
+        [[(G[a, o] if a <= o else G[o, a].transpose(0, 2, 1))[some] for o in axes] for a in axes]
+    )
+    apart = [np.kron(np.eye(len(axes)), root) for root in roots]
+    every = np.concatenate([x[some] for x in b], axis=1)
+    found = [gains(every, whole, np.broadcast_to(root, whole.shape)) for root in apart]
+    return np.asarray(np.max(found, axis=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -75,12 +75,6 @@ def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> B
         at[e.id] = np.arange(first, first + len(where[e.id]), dtype=np.int64)
         first += len(where[e.id])
     return Beside(b, G, at)
-
-
-def weighed(q: Quadratic, worth: float) -> Quadratic:
-    """The quadratic with its evidence counting for so much: all that is compared, for the same."""
-    share = worth / q.worth
-    return replace(q, b=share * q.b, G=share * q.G, worth=worth)
 
 
 def wide_root(q: Quadratic, known: Sequence[Effect], index: IntArray) -> Array:

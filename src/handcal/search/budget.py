@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
 
-T = TypeVar("T")
+from handcal.estimate.model import Model
+
+# Called with the share that is done, and the present model.
+Report = Callable[[float, Model], None]
 # What follows a search (the last fit, what was not seen, the next motions) takes so many times
 # what the baseline took; from long and short recordings, 2 to 4.
 AFTERWARDS = 3.0
@@ -25,12 +27,11 @@ def _never() -> bool:
 class Budget:
     """until: when nothing new is begun any more (``time.monotonic``, s); stop: asked each time
     whether somebody wants what there is; untried: what was left out for either reason, in words, in
-    the order in which it would have come; cut: whether something was left out within a step."""
+    the order in which it would have come."""
 
     until: float = math.inf
     stop: Callable[[], bool] = _never
     untried: list[str] = field(default_factory=list)
-    cut: bool = False
 
     def spent(self, what: str) -> bool:
         """Whether there is no time for this any more; then it is noted."""
@@ -44,18 +45,6 @@ class Budget:
         if what not in self.untried:
             self.untried.append(what)
 
-    def each(self, ways: Iterable[T]) -> Iterator[T]:
-        """Those of a step's ways that may be begun in time."""
-        for way in ways:
-            if self.cuts():
-                return
-            yield way
-
-    def cuts(self) -> bool:
-        """Whether a step has to end with what it has."""
-        self.cut = self.cut or self._over()
-        return self.cut
-
     def _over(self) -> bool:
         return self.stop() or time.monotonic() >= self.until
 
@@ -67,3 +56,8 @@ def after(began: float, seconds: float | None, stop: Callable[[], bool] | None =
         now = time.monotonic()
         until = max(now, began + seconds - AFTERWARDS * (now - began))
     return Budget(until, stop or _never)
+
+
+def part_of(report: Report, start: float, share: float, f: float, model: Model) -> None:
+    """Report share ``f`` of a part of the whole that begins at ``start`` and has size ``share``."""
+    report(start + share * f, model)

@@ -25,7 +25,7 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sampling import interpolated
 from handcal.model_score import PRIOR, better, of_use
 from handcal.observations.fixed_position import CREEPING
-from handcal.search.climb.state import WEAK
+from handcal.search.select_laws import WEAK
 from handcal.types import Array, HandcalError
 
 OBSERVED = CREEPING.kind

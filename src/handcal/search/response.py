@@ -16,22 +16,23 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from handcal.effects import Effect, Signals
-from handcal.estimate.case import applicable, name_of
-from handcal.estimate.columns import Ground
+from handcal.estimate.case import applicable, name_of, problem_with
+from handcal.estimate.columns import Ground, Wider, widened
 from handcal.estimate.linear import motion_of
-from handcal.estimate.model import Model
-from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.quadratic import Quadratic, total
 from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import without
+from handcal.laws import shapes, short_windows, terms
 from handcal.laws.drivers import HEADING
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
-from handcal.laws.over_drivers import signals_of
-from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, constants, count_of, halves, windows_of
+from handcal.laws.short_windows import halves, looked_at, windows_about
 from handcal.laws.with_motion import channels, is_with_motion
-from handcal.search.climb.candidates import candidates
+from handcal.search.candidates import candidates
 from handcal.search.noise_scan import all_noise
 from handcal.types import Array, IntArray
 
@@ -43,28 +44,53 @@ LOST, LOOKED = 3.0, 40
 MODES, LEAST = 60, 1e-5
 # Steps that are sums of windows, and of which sensor they are.
 STEPS = {"gyro_bias_step": 0}
+# Levels of a noise process, one mapping a recording.
+Levels = Sequence[Mapping[str, float]]
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Short windows of time: their middles t (n,), s after the first sample, the mean rate of
-    turning in each (n,), rad/s, and the places (n,) of their constants in the quadratic, by sensor
-    and axis, in units of the sensor's ``SIZE``. told: by sensor, what a window tells of a change
-    of sign within it on each axis (a,), in these units."""
+    """Short windows of all recordings, one recording's after the other's.
 
-    t: Array
-    rate: Array
+    each: of each recording; motion: its signals as they excite an error, without the sway of a
+    hand. at: places (N,) of the windows' constants in the quadratic, by sensor and axis, in units
+    of the sensor's ``SIZE``. told: by sensor, the information of a change of sign within a window
+    on each axis (a,), in these units.
+    """
+
+    each: Sequence[short_windows.Windows]
+    motion: Sequence[Signals]
     at: Mapping[tuple[int, int], IntArray]
     told: Mapping[int, Array]
 
     @property
-    def width(self) -> float:
-        """How long one is, s."""
-        return 2.0 * float(self.t[0])
-
-    @property
     def sensors(self) -> frozenset[int]:
         return frozenset(sensor for sensor, _ in self.at)
+
+    @property
+    def key(self) -> tuple[bytes, ...]:
+        """The same for windows of the same times."""
+        return tuple(w.edges.tobytes() for w in self.each)
+
+    @cached_property
+    def seldom(self) -> Sequence[tuple[Signals, IntArray]]:
+        """Of each recording its signals no oftener than ``RATE``, and the window of each sample."""
+        out = []
+        for w, signals in zip(self.each, self.motion, strict=True):
+            fewer = short_windows.seldom(signals)
+            out.append((fewer, w.of(fewer.t)))
+        return out
+
+    @cached_property
+    def courses(self) -> Sequence[tuple[Array, Array]]:
+        """Of each recording the windows' middles, s, and mean rates of turning, rad/s."""
+        out = []
+        for w, signals in zip(self.each, self.motion, strict=True):
+            of, n = w.of(signals.t), len(w.phase)
+            turned = np.bincount(of, np.linalg.norm(signals.gyro, axis=1), n)
+            rate = turned / np.maximum(np.bincount(of, minlength=n), 1)
+            out.append((0.5 * (w.edges[:-1] + w.edges[1:]) - w.edges[0], np.asarray(rate)))
+        return out
 
     def of(self, sensor: int) -> IntArray:
         """Places of all windows of a sensor, one axis after the other."""
@@ -73,18 +99,24 @@ class Windows:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What additive errors would do to a fit. quadratic: of the constants of effects and windows,
-    at its worth; effects: those with a name; noise: processes on trial that windows can hold;
-    levels: of those that the model has; filtered: noise of the model that is in the filter;
-    motion: signals as they excite an error, without the sway of a hand."""
+    """What additive errors would do to a fit.
+
+    quadratic: of the constants of effects and windows, at the full likelihood. worth: power of the
+    likelihood. effects: those with a name. noise: processes on trial that windows can hold; levels:
+    of those that the model has; filtered: noise of the model that is in the filter. heading: terms
+    and curves of a heading on trial, under ids of their own, with their forms; bases: of its
+    courses.
+    """
 
     quadratic: Quadratic
+    worth: float
     effects: tuple[Effect, ...]
     noise: tuple[Effect, ...]
-    levels: Mapping[str, Mapping[str, float]]
+    levels: Mapping[str, Levels]
     filtered: tuple[Effect, ...]
     windows: Windows
-    motion: Signals
+    heading: Mapping[str, Sequence[Effect]]
+    bases: Sequence[shapes.Basis]
 
     @cached_property
     def named(self) -> IntArray:
@@ -103,47 +135,113 @@ class Columns:
     effect: Effect
     at: tuple[IntArray, ...]
     F: Array
-    levels: Mapping[str, float]
+    levels: Levels
     b: Array
     named: Array
 
 
 def response(model: Model, worth: float | None = None) -> Response:
-    """The one matrix of a fit to one recording. worth: what evidence counts for, if that is known.
-
-    Raises ValueError for a fit to several recordings.
-    """
-    if len(model.parts) != 1:
-        raise ValueError("The matrix is of one recording: fit each recording alone.")
-    (part,) = model.parts
-    signals = signals_of(part)
+    """The one matrix of a fit to one or several recordings. worth: power of the likelihood, if it
+    is known."""
     about = grounds(model)
-    worth = 1.0 / excess(about[0].done, frozenset(model.ids)) if worth is None else worth
     named = _named(model, candidates(model.parts, model.effects, about[0].done))
-    windows, constant = _windows(signals, part.case.kinds)
-    on_windows = [e for e in model.effects if e.process and sensor_of(e) in windows.sensors]
-    every = {e.id: {lv.name: part.levels[lv.name] for lv in e.levels} for e in on_windows}
+    noise = [e for e in model.effects if e.process and sensor_of(e) in _sensors(model)]
+    every = {
+        e.id: [{lv.name: f.levels[lv.name] for lv in e.levels} for f in model.parts] for e in noise
+    }
+    # (beside what noise explains: without it, that would look like misfit)
+    if worth is None:
+        worth = min(_worth(f, g, model, named) for f, g in zip(model.parts, about, strict=True))
     if every:
         model = without(full := model, every)
         about = grounds(model)
+    windows = _windows(model, about)
     windows = replace(windows, told=_told(model, about, windows))
-    levels = {e.id: every[e.id] for e in on_windows if held(e, every[e.id], windows)}
+    levels = {e.id: every[e.id] for e in noise if held(e, every[e.id], windows)}
     if len(levels) < len(every):
+        # (epochs may be others beside noise)
         model = without(full, levels)
         about = grounds(model)
-    q = scan(model, [*named, *constant], about, 1.0)
-    owners = np.array([owner for owner, _ in q.names])
-    at = {key: np.flatnonzero(owners == e.id) for key, e in zip(windows.at, constant, strict=True)}
-    shown = [e for e in all_noise() if applicable(part.case, e)]
+        windows = replace(_windows(model, about), told=windows.told)
+    heading = _heading(model) if HEADING in windows.sensors else {}
+    on_heading = [replace(some[0], id=i) for i, some in heading.items()]
+    duration = model.parts[0].case.recording.duration_s
+    bases = shapes.heading_bases(duration) if HEADING in windows.sensors else []
+    on_heading += [b.effect for b in bases]
+    q = _seen(model, [*named, *on_heading], about, windows)
+    place = {(owner, name): i for i, (owner, name) in enumerate(q.names)}
+    at = {
+        key: np.array(
+            [
+                place[f"windows: {key[0]} {key[1]} of {part}", f"w{n}"]
+                for part, w in enumerate(windows.each)
+                for n in range(len(w.phase))
+            ]
+        )
+        for key in windows.at
+    }
+    shown = [e for e in all_noise() if any(applicable(f.case, e) for f in model.parts)]
     return Response(
-        Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth),
+        q,
+        worth,
         tuple(named),
         tuple(e for e in shown if sensor_of(e) in windows.sensors),
         levels,
         tuple(e for e in model.effects if e.process is not None),
         replace(windows, at=at),
-        motion_of(about[0].excited),
+        heading,
+        bases,
     )
+
+
+def _sensors(model: Model) -> list[int]:
+    """Sensors of which the recordings have readings."""
+    kinds = {kind for f in model.parts for kind in f.case.kinds}
+    return [k for k, name in enumerate(SENSORS) if k != HEADING or name in kinds]
+
+
+def _windows(model: Model, about: Sequence[Ground]) -> Windows:
+    """The windows of all recordings; their places in the matrix are not known yet."""
+    nowhere = np.zeros(0, dtype=np.int64)
+    at = {(k, axis): nowhere for k in _sensors(model) for axis in AXES_OF[k]}
+    motion = [motion_of(own.excited) for own in about]
+    return Windows([windows_about(own) for own in about], motion, at, {})
+
+
+def _heading(model: Model) -> dict[str, Sequence[Effect]]:
+    """Terms and curves of a heading that the model lacks, each as all its forms."""
+    recording, have = model.parts[0].case.recording, {e.id for e in model.effects}
+    options = [[e] for e in terms.heading_terms(recording)] + terms.heading_curves()
+    some = [o for o in options if o[0].id not in have]
+    return {f"basis: heading {n}": o for n, o in enumerate(some)}
+
+
+def _worth(f: Fitted, about: Ground, model: Model, named: Sequence[Effect]) -> float:
+    """Power of the likelihood of one recording, by the scatter of the scores of all these."""
+    return 1.0 / excess(_wide(f, about, model, named), frozenset(model.ids))
+
+
+def _wide(f: Fitted, about: Ground, model: Model, named: Sequence[Effect]) -> Wider:
+    """The pass over one recording with those of these effects that its model lacks."""
+    new = [e for e in named if e.id not in model.ids]
+    mine = [e for e in new if e.acts_now_on & set(f.case.kinds)]
+    return widened(about, new, problem_with(f.case, mine) if mine else None)
+
+
+def _seen(
+    model: Model, named: Sequence[Effect], about: Sequence[Ground], windows: Windows
+) -> Quadratic:
+    """The quadratic of these effects and of all windows, at the full likelihood."""
+    ids = frozenset(e.id for e in named)
+    parts = []
+    for n, (f, base, w) in enumerate(zip(model.parts, about, windows.each, strict=True)):
+        q = looked_at(ids, base, w, sorted(windows.sensors), _wide(f, base, model, named))
+        names = tuple(
+            (f"{owner} of {n}" if owner.startswith("windows: ") else owner, name)
+            for owner, name in q.names
+        )
+        parts.append(replace(q, names=names))
+    return total(parts)
 
 
 def _named(model: Model, on_trial: Sequence[Effect]) -> list[Effect]:
@@ -154,29 +252,12 @@ def _named(model: Model, on_trial: Sequence[Effect]) -> list[Effect]:
     return [*own.values(), *(e for e in new if e.id not in own)]
 
 
-def _windows(signals: Signals, kinds: Sequence[str]) -> tuple[Windows, list[Effect]]:
-    """The windows of a recording, and an effect for each channel; their places are not known
-    yet."""
-    t = signals.t
-    width = max(WINDOW, float(t[-1] - t[0]) / MOST_WINDOWS)
-    n = count_of(t, width)
-    window = windows_of(t, t, width)
-    turned = np.bincount(window, np.linalg.norm(signals.gyro, axis=1), n)
-    rate: Array = np.asarray(turned / np.maximum(np.bincount(window, minlength=n), 1))
-    sensors = [k for k, name in enumerate(SENSORS) if k != HEADING or name in kinds]
-    keys = [(k, axis) for k in sensors for axis in AXES_OF[k]]
-    nowhere = np.zeros(0, dtype=np.int64)
-    middles: Array = np.asarray((np.arange(n) + 0.5) * width)
-    windows = Windows(middles, rate, dict.fromkeys(keys, nowhere), {})
-    return windows, [constants(k, axis, n, width) for k, axis in keys]
-
-
 def _told(model: Model, about: Sequence[Ground], windows: Windows) -> dict[int, Array]:
-    """See ``Windows``: by a scan of some windows."""
-    n = len(windows.t)
+    """See ``Windows``: by a scan of some windows of the first recording."""
+    first, n = replace(model, parts=model.parts[:1]), len(windows.each[0].phase)
     some = np.unique(np.linspace(0, n - 1, min(n, LOOKED)).astype(np.int64))
-    looked = [halves(k, axis, some, windows.width) for k, axis in windows.at]
-    q = scan(model, looked, about, 1.0)
+    looked = [halves(k, axis, some, windows.each[0]) for k, axis in windows.at]
+    q = scan(first, looked, about[:1], 1.0)
     told: dict[int, list[float]] = {}
     for (sensor, _), e in zip(windows.at, looked, strict=True):
         own = [i for i, (owner, _) in enumerate(q.names) if owner == e.id]
@@ -191,15 +272,16 @@ def sensor_of(e: Effect) -> int:
     return HEADING if SENSORS[HEADING] in e.observation_error else -1
 
 
-def covariance(e: Effect, levels: Mapping[str, float], windows: Windows) -> Array:
-    """Covariance (n, n) of one axis of a noise process at the middles of windows, SI."""
+def covariance(e: Effect, levels: Mapping[str, float], t: Array, rate: Array) -> Array:
+    """Covariance (n, n) of one axis of a noise process, SI, at times t (n,), s, at which the device
+    turns at these rates (n,), rad/s."""
     assert e.process is not None
-    dt = np.diff(windows.t, prepend=0.0)
-    Phi, Q = e.process.transition(levels, dt, windows.rate)
+    dt = np.diff(t, prepend=0.0)
+    Phi, Q = e.process.transition(levels, dt, rate)
     axis = int(np.argmax(np.diagonal(Q, axis1=1, axis2=2).sum(axis=0)))
     phi, q = Phi[:, axis, axis], Q[:, axis, axis]
     P = np.empty(len(q))
-    last = e.process.start(levels, float(windows.rate[0]))[axis, axis]
+    last = e.process.start(levels, float(rate[0]))[axis, axis]
     for k in range(len(q)):
         last = phi[k] ** 2 * last + q[k]
         P[k] = last
@@ -211,23 +293,25 @@ def covariance(e: Effect, levels: Mapping[str, float], windows: Windows) -> Arra
     return K
 
 
-def held(e: Effect, levels: Mapping[str, float], windows: Windows) -> bool:
+def held(e: Effect, levels: Levels, windows: Windows) -> bool:
     """Whether windows can hold a noise process: what changes within them is lost among the
     readings, or in what is integrated of them."""
-    K, sensor = covariance(e, levels, windows), sensor_of(e)
+    K, sensor = covariance(e, levels[0], *windows.courses[0]), sensor_of(e)
     # (of a walk, a sixth of what it gains from window to window)
     change = np.diag(K)[1:] + np.diag(K)[:-1] - 2.0 * np.diag(K, 1)
     told = windows.told[sensor][list(axes_of(e))] / 6.0 / SIZE[sensor] ** 2
     return 0.5 * float(np.log1p(np.outer(change, told)).sum()) < LOST
 
 
-def modes(e: Effect, levels: Mapping[str, float], windows: Windows) -> Array:
+def modes(e: Effect, levels: Levels, windows: Windows) -> Array:
     """Columns (n, r) that a noise process is on each axis, in units of the windows' constants."""
-    K = covariance(e, levels, windows) / SIZE[sensor_of(e)] ** 2
-    variance, vectors = np.linalg.eigh(K)
-    keep = variance > LEAST * variance[-1]
-    keep[:-MODES] = False
-    return np.asarray(vectors[:, keep] * np.sqrt(variance[keep]))
+    out = []
+    for own, course in zip(levels, windows.courses, strict=True):
+        variance, vectors = np.linalg.eigh(covariance(e, own, *course) / SIZE[sensor_of(e)] ** 2)
+        keep = variance > LEAST * variance[-1]
+        keep[:-MODES] = False
+        out.append(vectors[:, keep] * np.sqrt(variance[keep]))
+    return np.asarray(block_diag(*out))
 
 
 def axes_of(e: Effect) -> tuple[int, ...]:
@@ -238,7 +322,7 @@ def axes_of(e: Effect) -> tuple[int, ...]:
     return tuple("xyz".index(c[-1]) for c in channels(e))
 
 
-def noise_columns(r: Response, e: Effect, levels: Mapping[str, float]) -> Columns:
+def noise_columns(r: Response, e: Effect, levels: Levels) -> Columns:
     """A noise process at certain levels as columns."""
     at = tuple(r.windows.at[sensor_of(e), axis] for axis in axes_of(e))
     return columns(r, e, at, modes(e, levels, r.windows), levels)
@@ -247,14 +331,13 @@ def noise_columns(r: Response, e: Effect, levels: Mapping[str, float]) -> Column
 def step_columns(r: Response, e: Effect, edge: int) -> Columns:
     """A step from a window on, on each axis of its sensor."""
     sensor = STEPS[name_of(e.id)]
-    F = (np.arange(len(r.windows.t)) >= edge) * (e.prior_sigma[0] / SIZE[sensor])
+    n = len(r.windows.at[sensor, 0])
+    F = (np.arange(n) >= edge) * (e.prior_sigma[0] / SIZE[sensor])
     at = tuple(r.windows.at[sensor, axis] for axis in AXES_OF[sensor])
-    return columns(r, e, at, F[:, None], {})
+    return columns(r, e, at, F[:, None], ())
 
 
-def columns(
-    r: Response, e: Effect, at: tuple[IntArray, ...], F: Array, levels: Mapping[str, float]
-) -> Columns:
+def columns(r: Response, e: Effect, at: tuple[IntArray, ...], F: Array, levels: Levels) -> Columns:
     """The combinations F (n, r) of the windows at these places (n,) each, with their products."""
     q = r.quadratic
     b = np.concatenate([F.T @ q.b[i] for i in at])

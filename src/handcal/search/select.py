@@ -2,7 +2,7 @@
 
 A choice is a set of effects with a name (steps among them) and of noise processes at certain
 levels. Its score is evidence plus log prior odds: noise is integrated out of the matrix, tails and
-sparse groups of the names are as in every fit. The search goes uphill, in turn over names, three
+sparse groups of the names are as in every fit. The search goes uphill, in turn over names, two
 sets at a time, so that of two that are alike both are gone on with, and over noise. Nothing is
 fitted: a choice is a proposal, which a fit decides on.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -25,6 +26,7 @@ from handcal.laws.weighing import gains, wide_root
 from handcal.search.response import (
     STEPS,
     Columns,
+    Levels,
     Response,
     held,
     modes,
@@ -38,7 +40,7 @@ from handcal.types import Array
 
 # Sets of names that are gone on with; processes and moments of a step that are weighed exactly, the
 # likeliest by a look.
-BEAM, EXACT = 3, 3
+BEAM, EXACT = 2, 3
 # Nats that a change must gain.
 GAINED = 0.5
 # Log odds of what no fit wanted.
@@ -46,6 +48,8 @@ REFUSED = -1e6
 # Times the first guess of its level at which noise is looked at.
 SIZES = 10.0 ** np.arange(-2.0, 2.01, 0.25)
 MEMORIES = (0.3, 1.0, 3.0, 10.0)
+# Shares of the size at which noise is evaluated exactly.
+SMALLER = (1.0, 0.56, 0.32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +70,11 @@ class Choice:
         return self.names | self.noise.keys()
 
     @property
-    def effects(self) -> dict[str, tuple[Effect, Mapping[str, float]]]:
+    def effects(self) -> dict[str, tuple[Effect, Levels]]:
         """Each effect by its id, and its noise levels."""
-        named = {i: (self.where.effects[i], dict[str, float]()) for i in sorted(self.names)}
+        named: dict[str, tuple[Effect, Levels]] = {
+            i: (self.where.effects[i], ()) for i in sorted(self.names)
+        }
         return {**named, **{i: (c.effect, c.levels) for i, c in self.noise.items()}}
 
 
@@ -83,39 +89,46 @@ class Priors:
 
 
 @dataclass(frozen=True, eq=False)
-class _Process:
+class Process:
     """Noise on trial, on all axes: its levels at the first guess of its size, and its columns."""
 
     effect: Effect
-    levels: Mapping[str, float]
+    levels: Levels
     F: Array
 
 
 def select(
-    r: Response, priors: Priors, start: Iterable[str] = (), beam: int = BEAM
-) -> tuple[Choice, list[Choice]]:
-    """The choice at the start (these names, and noise of the model), and the best ones that the
-    search from it ends with, the best first."""
+    r: Response,
+    priors: Priors,
+    processes: Sequence[Process],
+    start: Iterable[str] = (),
+) -> tuple[Choice, Choice]:
+    """The choice at the start (these names, and noise of the model), and the best one that the
+    search from it ends with."""
+    first = present(r, priors, start)
+    best = _over_names(r, priors, first.noise, first.names)
+    while True:
+        # (moments of steps are looked for anew)
+        names = best.names & {e.id for e in r.effects}
+        less, more = _other_noise(r, priors, best, processes)
+        # (names can take the place of noise that goes; what comes is compared beside those there)
+        beside = partial(chosen, r, priors, best.names, steps=best.steps)
+        more = sorted(more, key=lambda noise: -beside(noise).score)[:1]
+        tried = [_over_names(r, priors, other, names) for other in (*less, *more)]
+        top = max(tried, key=lambda choice: choice.score, default=best)
+        if top.score <= best.score + GAINED:
+            return first, best
+        best = top
+
+
+def present(r: Response, priors: Priors, names: Iterable[str]) -> Choice:
+    """These names, and the noise of the model, as a choice."""
     own = {e.id: e for e in r.noise}
     noise = {
         i: noise_columns(r, own[i] if i in own else with_motion.again(i), levels)
         for i, levels in r.levels.items()
     }
-    processes = _processes(r)
-    names = frozenset(start)
-    first = chosen(r, priors, names, noise)
-    best = _over_names(r, priors, noise, names, beam)
-    while True:
-        # (moments of steps are looked for anew)
-        names = best[0].names & {e.id for e in r.effects}
-        tried = [
-            _over_names(r, priors, other, names, beam)
-            for other in _other_noise(r, priors, best[0], processes)
-        ]
-        top = max(tried, key=lambda found: found[0].score, default=best)
-        if top[0].score <= best[0].score + GAINED:
-            return first, best
-        best = top
+    return chosen(r, priors, frozenset(names), noise)
 
 
 # --- Names ---------------------------------------------------------------------------------------
@@ -133,19 +146,20 @@ def space_beside(
             *([s.named, *(products(r, s, t) for t in steps)] for s in steps),
         ]
     )
-    a = q.a
+    a = r.worth * q.a
     if noise:
         some = list(noise.values())
         A = np.block([[products(r, x, y) for y in some] for x in some])
         X = np.block([[x.named, *(products(r, x, s) for s in steps)] for x in some])
         gained, b, G = _beside(A, np.concatenate([x.b for x in some]), X, b, G)
-        a += gained
+        a += r.worth * gained
+    b, G = r.worth * b, r.worth * G
     names = [q.names[i] for i in m]
     names += [(s.effect.id, p.name) for s in steps for p in s.effect.parameters]
     effects = [*r.effects, *(s.effect for s in steps)]
     odds = {e.id: priors.of(e) for e in effects}
     odds |= {i: REFUSED for i in odds if name_of(i) in priors.refused}
-    return space(Quadratic(tuple(names), a, b, G, q.worth), effects, odds)
+    return space(Quadratic(tuple(names), a, b, G, r.worth), effects, odds)
 
 
 def chosen(
@@ -187,45 +201,48 @@ def _over_names(
     priors: Priors,
     noise: Mapping[str, Columns],
     start: frozenset[str],
-    beam: int,
-) -> list[Choice]:
-    """The best sets of names beside some noise, the best first: moments of steps are looked at
-    beside the best set without them."""
+) -> Choice:
+    """The best set of names beside some noise: moments of steps are looked at beside the best set
+    without them."""
     where = space_beside(r, priors, noise)
-    sets = best_sets(where, [start], priors.always, beam)
+    sets = best_sets(where, [start], priors.always)
     steps = _steps(r, priors, sets[0], noise)
     if steps:
         where = space_beside(r, priors, noise, steps)
-        sets = best_sets(where, sets, priors.always, beam)
-    return [_choice(where, priors, names, noise, steps) for names in sets]
+        sets = best_sets(where, sets, priors.always)
+    return _choice(where, priors, sets[0], noise, steps)
 
 
 def best_sets(
     where: Space, starts: Sequence[frozenset[str]], always: frozenset[str], beam: int = BEAM
 ) -> list[frozenset[str]]:
     """The best sets of effects that are found from these, as many as the beam is wide, the best
-    first: by adding, dropping and exchanging those that are not always there."""
+    first: by adding and dropping those that are not always there, and then by exchanging them."""
     best = sorted(set(starts), key=where.score, reverse=True)[:beam]
-    gone_on: set[frozenset[str]] = set()
-    while new := [s for s in best if s not in gone_on]:
-        gone_on.update(new)
-        found = {n for s in new for n in _neighbours(where, s, always)}
-        # (in an order that is the same in every run)
-        ranked = sorted(sorted({*best, *found}, key=sorted), key=where.score, reverse=True)
-        best = ranked[:beam]
+    for neighbours in (_more_or_less, _neighbours):
+        gone_on: set[frozenset[str]] = set()
+        while new := [s for s in best if s not in gone_on]:
+            gone_on.update(new)
+            found = {n for s in new for n in neighbours(where, s, always)}
+            # (in an order that is the same in every run)
+            ranked = sorted(sorted({*best, *found}, key=sorted), key=where.score, reverse=True)
+            best = ranked[:beam]
     return best
+
+
+def _more_or_less(
+    where: Space, chosen: frozenset[str], always: frozenset[str]
+) -> Iterator[frozenset[str]]:
+    yield from (chosen | {i} for i in where.effects if i not in chosen)
+    yield from (chosen - {j} for j in sorted(chosen - always))
 
 
 def _neighbours(
     where: Space, chosen: frozenset[str], always: frozenset[str]
 ) -> Iterator[frozenset[str]]:
+    yield from _more_or_less(where, chosen, always)
     others = [i for i in where.effects if i not in chosen]
-    for i in others:
-        yield chosen | {i}
-    for j in sorted(chosen - always):
-        yield chosen - {j}
-        for i in others:
-            yield (chosen - {j}) | {i}
+    yield from ((chosen - {j}) | {i} for j in sorted(chosen - always) for i in others)
 
 
 # --- Windows -------------------------------------------------------------------------------------
@@ -234,8 +251,8 @@ def _neighbours(
 def windows_beside(
     r: Response, names: frozenset[str], noise: Mapping[str, Columns], sensor: int
 ) -> tuple[Array, Array]:
-    """b (a, n) and G (a, n, a, n) of a sensor's windows, axis by axis, with these names and this
-    noise integrated out."""
+    """b (a, n) and G (a, n, a, n) of a sensor's windows at the full likelihood, axis by axis, with
+    these names and this noise integrated out."""
     q, w = r.quadratic, r.windows.of(sensor)
     effects = [e for e in r.effects if e.id in names]
     own = {e.id for e in effects}
@@ -245,7 +262,8 @@ def windows_beside(
     b = np.concatenate([F.T @ q.b[i] for i, F in V])
     X = np.hstack([q.G[np.ix_(w, i)] @ F for i, F in V])
     A = np.block([[F.T @ q.G[np.ix_(i, j)] @ K for j, K in V] for i, F in V])
-    axes, n = len(AXES_OF[sensor]), len(r.windows.t)
+    axes = len(AXES_OF[sensor])
+    n = len(w) // axes
     _, b, G = _beside(A, b, X.T, q.b[w], q.G[np.ix_(w, w)])
     return b.reshape(axes, n), G.reshape(axes, n, axes, n)
 
@@ -265,17 +283,19 @@ def _steps(
     r: Response, priors: Priors, names: frozenset[str], noise: Mapping[str, Columns]
 ) -> list[Columns]:
     """Steps at the likeliest edges of windows, beside these names and this noise."""
-    out = []
+    out: list[Columns] = []
     known, have = catalogue(), {name_of(e.id) for e in r.effects}
+    if len(r.windows.each) > 1:
+        return out
     for name, sensor in STEPS.items():
         if name in have or name in priors.refused or sensor not in r.windows.sensors:
             continue
-        effect = known[name]
+        effect, edges = known[name], r.windows.each[0].edges
         b, G = windows_beside(r, names, noise, sensor)
-        nats = step_gains(b, G, effect.prior_sigma[0] / SIZE[sensor])
+        nats = step_gains(r.worth * b, r.worth * G, effect.prior_sigma[0] / SIZE[sensor])
         for edge in _summits(nats)[:EXACT]:
             moment = np.zeros(len(effect.parameters))
-            moment[-1] = edge * r.windows.width
+            moment[-1] = edges[edge] - r.windows.motion[0].t[0]
             out.append(step_columns(r, frozen_at(effect, moment), edge))
     return out
 
@@ -304,8 +324,8 @@ def _summits(nats: Array) -> list[int]:
 # --- Noise ---------------------------------------------------------------------------------------
 
 
-def _processes(r: Response) -> list[_Process]:
-    """The processes on trial at several memories, those that windows can hold."""
+def processes_of(r: Response) -> list[Process]:
+    """The processes on trial at several memories."""
     out = []
     for e in r.noise:
         size, *others = e.levels
@@ -313,21 +333,21 @@ def _processes(r: Response) -> list[_Process]:
             levels = {size.name: size.initial}
             for lv, by in zip(others, times, strict=True):
                 levels[lv.name] = min(max(by * lv.initial, lv.lower), lv.upper)
-            if held(e, levels, r.windows):
-                out.append(_Process(e, levels, modes(e, levels, r.windows)))
+            each = [levels] * len(r.windows.each)
+            out.append(Process(e, each, modes(e, each, r.windows)))
     return out
 
 
 def _other_noise(
-    r: Response, priors: Priors, choice: Choice, processes: Sequence[_Process]
-) -> Iterator[dict[str, Columns]]:
-    """Without each process of a choice, with another one in its place, and with one more."""
+    r: Response, priors: Priors, choice: Choice, processes: Sequence[Process]
+) -> tuple[list[dict[str, Columns]], list[dict[str, Columns]]]:
+    """Without each process of a choice; and with another one in its place, or one more."""
     noise = dict(choice.noise)
-    for i in noise:
-        rest = {k: c for k, c in noise.items() if k != i}
-        yield rest
-        yield from _one_more(r, priors, choice.names, rest, processes, 1)
-    yield from _one_more(r, priors, choice.names, noise, processes, EXACT)
+    less = [{k: c for k, c in noise.items() if k != i} for i in noise]
+    more = list(_one_more(r, priors, choice.names, noise, processes, EXACT))
+    for rest in less:
+        more += _one_more(r, priors, choice.names, rest, processes, 1)
+    return less, more
 
 
 def _one_more(
@@ -335,12 +355,12 @@ def _one_more(
     priors: Priors,
     names: frozenset[str],
     noise: dict[str, Columns],
-    processes: Sequence[_Process],
+    processes: Sequence[Process],
     most: int,
 ) -> Iterator[dict[str, Columns]]:
     """This noise and one process more beside these names, the likeliest by a look."""
     have = {_family(i) for i in (*noise, *(e.id for e in r.filtered))}
-    looked: dict[str, tuple[float, Effect, dict[str, float]]] = {}
+    looked: dict[str, tuple[float, Effect, Levels]] = {}
     for sensor in sorted(r.windows.sensors):
         mine = [p for p in processes if sensor_of(p.effect) == sensor]
         mine = [p for p in mine if _family(p.effect.id) not in have]
@@ -349,14 +369,18 @@ def _one_more(
         b, G = windows_beside(r, names, noise, sensor)
         for p in mine:
             nats, e, levels = _look(p, b, G)
-            value = nats + priors.of(e)
-            if e.id not in priors.refused and value > looked.get(p.effect.id, (0.0,))[0]:
+            value = r.worth * nats + priors.of(e)
+            likelier = value > looked.get(p.effect.id, (0.0,))[0]
+            if likelier and e.id not in priors.refused and held(e, levels, r.windows):
                 looked[p.effect.id] = value, e, levels
     for _, e, levels in sorted(looked.values(), key=lambda x: -x[0])[:most]:
-        yield {**noise, e.id: noise_columns(r, e, levels)}
+        # (a look at each axis alone finds sizes that are too large for all of them together)
+        for share in SMALLER:
+            size = {e.levels[0].name: share * levels[0][e.levels[0].name]}
+            yield {**noise, e.id: noise_columns(r, e, [{**own, **size} for own in levels])}
 
 
-def _look(p: _Process, b: Array, G: Array) -> tuple[float, Effect, dict[str, float]]:
+def _look(p: Process, b: Array, G: Array) -> tuple[float, Effect, Levels]:
     """Nats that a process gains at its best size on the axes where it gains, each axis alone; that
     process, and its levels."""
     size = p.effect.levels[0]
@@ -373,8 +397,9 @@ def _look(p: _Process, b: Array, G: Array) -> tuple[float, Effect, dict[str, flo
     k = int(np.argmax(whole))
     axes = tuple(int(a) for a in np.flatnonzero(nats[:, k] > 0.0))
     e = with_motion.on_axes(p.effect, axes) if narrow and axes else p.effect
-    values = [float(sizes[k] * size.initial), *list(p.levels.values())[1:]]
-    return float(whole[k]), e, {lv.name: v for lv, v in zip(e.levels, values, strict=True)}
+    values = [float(sizes[k] * size.initial), *list(p.levels[0].values())[1:]]
+    levels = {lv.name: v for lv, v in zip(e.levels, values, strict=True)}
+    return float(whole[k]), e, [levels] * len(p.levels)
 
 
 def _family(effect_id: str) -> str:

@@ -7,32 +7,36 @@ decides on.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.model import Model
 from handcal.estimate.prior_root import root_of
+from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import without
-from handcal.laws.best_law import is_composed
+from handcal.laws import shapes
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.drivers import DRIVERS, HEADING, Driver, usable
-from handcal.laws.first_look import InWindows
-from handcal.laws.law_effect import Law, effect_of
+from handcal.laws.grammar import FREEDOM
+from handcal.laws.law_effect import AXES_OF, SENSORS, Law, effect_of, law_of
 from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
-from handcal.laws.short_windows import Courses, courses_of, gains_of, windows_of
-from handcal.laws.vocabulary import further
-from handcal.laws.weighing import Beside, beside, gains
-from handcal.search.response import Response, sensor_of
+from handcal.laws.short_windows import Courses, courses_of, fits_in, gains_of, means
+from handcal.laws.vocabulary import CURVED, further
+from handcal.laws.weighing import Beside, beside, gains, wide_root
+from handcal.model_score import TERM_PRIOR
+from handcal.search.response import Response, Windows, sensor_of
 from handcal.search.select import Choice, Priors, chosen, windows_beside
+from handcal.types import Array, IntArray
 
 # Drivers of a sensor that are looked at as formulas, the likeliest of all and of those that
 # are no composition.
-CLOSER, PLAIN = 3, 2
+CLOSER, PLAIN = 4, 3
+# Nats that a driver gains from which it is looked at: a formula gains some eight more.
+LEAST = -TERM_PRIOR - 8.0
 # Nats below the best law of a sensor within which one is its rival.
 NEAR = 10.0
 # Names that gain less may stand in for a law.
@@ -41,37 +45,99 @@ WEAK = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A law as an effect; beside: the choice it is added to; nats: that it gains there; score:
-    of both."""
+    """A law as an effect; beside: the choice it is added to; go: ids whose place it takes; nats:
+    that it gains; score: of both."""
 
     effect: Effect
     beside: Choice
+    go: frozenset[str]
     nats: float
     score: float
 
 
-def courses_on(r: Response) -> dict[int, list[Courses]]:
-    """The courses of all drivers of each sensor, once a recording."""
-    signals, windows = r.motion, r.windows
+@dataclass(frozen=True, eq=False)
+class InWindows:
+    """Laws of a sensor weighed from windows of all recordings, beside what is known; signals: of
+    the first recording."""
+
+    whole: Beside
+    windows: Windows
+    sensor: int
+
+    @property
+    def signals(self) -> Signals:
+        return self.windows.seldom[0][0]
+
+    def seen(self, absent: Sequence[Effect]) -> Beside:
+        """The quadratic of effects that act on this sensor only."""
+        C = np.hstack([np.zeros((len(self.whole.b), 0)), *(self._means(e) for e in absent)])
+        ends = np.cumsum([0, *(len(e.parameters) for e in absent)])
+        at = {e.id: np.arange(*ends[n : n + 2]) for n, e in enumerate(absent)}
+        return Beside(C.T @ self.whole.b, C.T @ self.whole.G @ C, at)
+
+    def _means(self, e: Effect) -> Array:
+        """Mean errors (axes * N, k) in all windows."""
+        axes, k = len(AXES_OF[self.sensor]), len(e.parameters)
+        parts = [
+            means(e, self.sensor, *seen, len(w.phase)).reshape(axes, -1, k)
+            for w, seen in zip(self.windows.each, self.windows.seldom, strict=True)
+        ]
+        return np.concatenate(parts, axis=1).reshape(-1, k)
+
+
+def courses_on(windows: Windows) -> dict[int, list[Courses]]:
+    """The courses of all drivers of each sensor, in the windows of all recordings."""
     sensors = sorted(windows.sensors)
-    by_name = {k: {d.name: d for d in _drivers(signals, k) if d.only in (None, k)} for k in sensors}
+    by_name = {
+        k: {d.name: d for d in _drivers(windows.motion, k) if d.only in (None, k)} for k in sensors
+    }
     # (the means of a driver are the same for both sensors of an IMU)
     imu = {name: d for k in sensors if k != HEADING for name, d in by_name[k].items()}
-    here = len(windows.t), partial(windows_of, all_=signals.t, width=windows.width)
     out = {}
     if imu:
-        both = courses_of(list(imu.values()), signals, 0, *here)
+        both = _over_all(list(imu.values()), windows, 0)
         out = {k: [_some(c, by_name[k]) for c in both] for k in sensors if k != HEADING}
     if HEADING in by_name:
-        mine = list(by_name[HEADING].values())
-        out[HEADING] = courses_of(mine, signals, HEADING, *here)
+        out[HEADING] = _over_all(list(by_name[HEADING].values()), windows, HEADING)
     return out
 
 
-def _drivers(signals: Signals, sensor: int) -> list[Driver]:
-    usual = [d for d in DRIVERS.values() if sensor != HEADING and usable(d, signals)]
+def _over_all(drivers: Sequence[Driver], windows: Windows, sensor: int) -> list[Courses]:
+    """Courses in the windows of all recordings, of drivers that vary in each of them."""
+    each = [
+        courses_of(drivers, s, sensor, len(w.phase), w.of)
+        for w, s in zip(windows.each, windows.motion, strict=True)
+    ]
+    first, *others = each
+    out = []
+    for of in first:
+        same = [next((c for c in other if _alike(c, of)), None) for other in others]
+        if any(c is None for c in same):
+            continue
+        rest = [c for c in same if c is not None]
+        names = [{d.name: n for n, d in enumerate(c.drivers)} for c in rest]
+        mine = [n for n, d in enumerate(of.drivers) if all(d.name in own for own in names)]
+        several = [of.means[mine]]
+        for c, own in zip(rest, names, strict=True):
+            several.append(c.means[[own[of.drivers[n].name] for n in mine]])
+        if mine:
+            both = np.concatenate(several, axis=3)
+            out.append(Courses([of.drivers[n] for n in mine], both, of.roots))
+    return out
+
+
+def _alike(a: Courses, b: Courses) -> bool:
+    """Whether two are of one kind of law."""
+    one, other = a.drivers[0], b.drivers[0]
+    return (one.knots, one.round) == (other.knots, other.round)
+
+
+def _drivers(motion: Sequence[Signals], sensor: int) -> list[Driver]:
+    signals = motion[0]
+    known = CURVED if sensor == HEADING else DRIVERS
+    usual = [d for d in known.values() if usable(d, signals)]
     many = composed_headings(signals) if sensor == HEADING else composed(signals)
-    return [*usual, *further(signals, sensor), *many]
+    return [*usual, *further(signals, sensor), *(many if all(map(fits_in, motion)) else ())]
 
 
 def _some(of: Courses, names: Container[str]) -> Courses:
@@ -80,66 +146,133 @@ def _some(of: Courses, names: Container[str]) -> Courses:
     return Courses([of.drivers[n] for n in at], of.means[at], of.roots)
 
 
-def best_laws(
+def laws_of(
     r: Response,
     priors: Priors,
     choice: Choice,
-    courses: dict[int, list[Courses]],
-) -> list[list[Found]]:
-    """The best laws of each sensor beside a choice, or in the place of what may stand in for them,
-    the best sensor first; a fit decides between those that are near, one that is no composition
-    among them."""
-    signals = r.motion
-    window = windows_of(signals.t, signals.t, r.windows.width)
-    out = []
-    for sensor, of in courses.items():
-        own = []
-        for other in _bases(r, priors, choice, sensor):
-            b, G = windows_beside(r, other.names, other.noise, sensor)
-            at = {str(a): x for a, x in enumerate(np.arange(b.size).reshape(b.shape))}
-            whole = Beside(b.ravel(), G.reshape(b.size, b.size), at)
-            looked = InWindows(signals, sensor, [(whole, (signals, window))], 1.0)
-            for law, nats in _laws(looked, of):
-                e = effect_of(law)
-                if e.id not in {*priors.refused, *choice.names}:
-                    own.append(Found(e, other, nats, other.score + nats + priors.of(e)))
-        if own:
-            out.append(_near(own))
-    return sorted(out, key=lambda some: -some[0].score)
+    sensor: int,
+    courses: Sequence[Courses],
+    spared: Sequence[Effect] = (),
+) -> Iterator[Found]:
+    """Laws of a sensor beside a choice, or in the place of what may stand in for them; spared:
+    noise that was in the filter and is not in this matrix."""
+    gained = -sum(map(priors.of, spared))
+    for other in _bases(r, priors, choice, sensor):
+        b, G = windows_beside(r, other.names, other.noise, sensor)
+        at = {str(a): x for a, x in enumerate(np.arange(b.size).reshape(b.shape))}
+        b, G = r.worth * b.ravel(), r.worth * G.reshape(b.size, b.size)
+        looked = InWindows(Beside(b, G, at), r.windows, sensor)
+        for e, nats in _ends(r, other, looked, courses):
+            if e.id not in {*priors.refused, *choice.names}:
+                go = (choice.ids - other.ids).union(x.id for x in spared)
+                yield Found(e, other, go, nats, other.score + gained + nats + priors.of(e))
 
 
-def _near(found: Sequence[Found]) -> list[Found]:
-    """The best of these and the best plain one near it, each another law."""
-    best = sorted(found, key=lambda f: -f.score)
-    plain = [f for f in best if not is_composed(f.effect)]
-    rivals = [f for f in (*best[1:2], *plain[:1]) if f.score > best[0].score - NEAR]
-    return list({f.effect.id: f for f in (best[0], *rivals)}.values())
+def _ends(
+    r: Response, beside: Choice, looked: InWindows, of: Sequence[Courses]
+) -> Iterator[tuple[Effect, float]]:
+    """Laws, courses, and terms of a heading, with what they gain, their costs unpaid."""
+    for law, nats in _laws(looked, of):
+        yield effect_of(law), nats
+    if looked.sensor == HEADING:
+        yield from _of_heading(r, beside)
+    elif len(looked.windows.each) == 1:
+        for e, nats in _courses(looked):
+            yield e, nats + FREEDOM + e.cost
+
+
+def _courses(looked: InWindows) -> Iterator[tuple[Effect, float]]:
+    """Courses of an IMU's sensor over time, less their costs."""
+    (signals,) = looked.windows.motion
+    duration = float(signals.t[-1] - signals.t[0])
+    for axis in range(3):
+        basis = shapes.imu_basis(3 * looked.sensor + axis, duration)
+        seen = looked.seen([basis.effect])
+        names = tuple((basis.effect.id, p.name) for p in basis.effect.parameters)
+        nothing = np.zeros(0, dtype=np.int64)
+        yield from shapes.closest(basis, Quadratic(names, 0.0, seen.b, seen.G), nothing)
+
+
+def _of_heading(r: Response, choice: Choice) -> Iterator[tuple[Effect, float]]:
+    """Terms, curves and courses of a heading, with what they gain, their costs unpaid."""
+    known = [e for e in r.effects if e.id in choice.names]
+    absent = [replace(some[0], id=i) for i, some in r.heading.items()]
+    q = r.quadratic
+    q = replace(q, b=r.worth * q.b, G=r.worth * q.G, worth=r.worth)
+    seen = beside(q, known, absent)
+    for i, some in r.heading.items():
+        at = seen.at[i]
+        b, G = seen.b[at], seen.G[np.ix_(at, at)]
+        roots = np.stack([np.eye(len(at)) if x.together is None else x.together for x in some])
+        many = len(roots), len(at), len(at)
+        found = gains(np.broadcast_to(b, many[:2]), np.broadcast_to(G, many), roots)
+        best = some[int(np.argmax(found))]
+        yield best, float(found.max() + np.log(np.mean(np.exp(found - found.max())))) + best.cost
+    ids = {e.id for e in known}
+    index: IntArray = np.array([n for n, (i, _) in enumerate(q.names) if i in ids], dtype=np.int64)
+    root = wide_root(q, known, index)
+    for basis in r.bases:
+        for e, nats in shapes.closest(basis, q, index, root):
+            yield e, nats + FREEDOM + e.cost
+
+
+def groups_of(laws: Iterable[Found]) -> Iterator[list[Found]]:
+    """The best of these, the next one, the best plain one and the one of least cost, all near the
+    best; and so on of the rest."""
+    best: dict[str, Found] = {}
+    for law in sorted(laws, key=lambda f: -f.score):
+        best.setdefault(law.effect.id, law)
+    found = list(best.values())
+    while found:
+        forms = ((f, law_of(f.effect)) for f in found)
+        plain = [f for f, law in forms if law is None or not law.driver.composed]
+        near = [f for f in found if f.score > found[0].score - NEAR]
+        group = [
+            *near[:2],
+            *(f for f in plain[:1] if f in near),
+            min(near, key=lambda f: f.effect.cost),
+        ]
+        group = list({f.effect.id: f for f in group}.values())
+        found = [f for f in found if f not in group]
+        yield group
 
 
 def _bases(r: Response, priors: Priors, choice: Choice, sensor: int) -> Iterator[Choice]:
-    """A choice, without a sensor's noise, and without weak names as well."""
-    yield choice
-    rest = {i: c for i, c in choice.noise.items() if sensor_of(c.effect) != sensor}
-    if len(rest) < len(choice.noise):
-        yield chosen(r, priors, choice.names, rest, choice.steps)
+    """A choice, and without what may stand in for a law of a sensor: its noise, weak names as well,
+    all rare names and laws of the sensor as well."""
+    own = SENSORS[sensor]
     score = choice.where.score
-    weak = {
-        i
-        for i in choice.names - priors.always
-        if score(choice.names) - score(choice.names - {i}) < WEAK
-    }
-    if weak:
-        yield chosen(r, priors, choice.names - weak, rest, choice.steps)
+    rest = {i: c for i, c in choice.noise.items() if sensor_of(c.effect) != sensor}
+    spare = choice.names - priors.always
+    weak = {i for i in spare if score(choice.names) - score(choice.names - {i}) < WEAK}
+    mine = {i for i in spare if i.startswith(own)}
+    laws = {i for i in mine if "+=" in i}
+    ways = (
+        (frozenset[str](), choice.noise),
+        (frozenset[str](), rest),
+        (weak, rest),
+        (weak | mine, rest),
+        *(({i}, rest) for i in sorted(laws)),
+    )
+    done = set()
+    for gone, noise in ways:
+        key = frozenset(gone), frozenset(noise)
+        if key not in done:
+            done.add(key)
+            if not gone and len(noise) == len(choice.noise):
+                yield choice
+            else:
+                yield chosen(r, priors, choice.names - gone, noise, choice.steps)
 
 
 def _laws(looked: InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law, float]]:
     """The likeliest laws as formulas and curves, with what they gain, their costs unpaid."""
-    ((whole, _),) = looked.parts
     ranked = sorted(
         (
             (float(nats), driver)
             for of in courses
-            for nats, driver in zip(gains_of(of, whole), of.drivers, strict=True)
+            for nats, driver in zip(gains_of(of, looked.whole), of.drivers, strict=True)
+            if nats > LEAST
         ),
         key=lambda x: -x[0],
     )
@@ -170,7 +303,7 @@ def confirmed(model: Model, found: Found, worth: float) -> float:
 
     (Of what is nearly a named effect, windows may promise what they are coarser by.)
     """
-    gone = {e.id for e in model.effects if e.process is not None} - found.beside.noise.keys()
+    gone = found.go.intersection(e.id for e in model.effects if e.process is not None)
     about = without(model, gone) if gone else model
     known = [e for e in about.effects if e.id in found.beside.names]
     q = scan(about, [found.effect], None, worth)

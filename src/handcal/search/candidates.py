@@ -1,4 +1,4 @@
-"""Candidates of a turn of a climb (effects, steps at moments, terms) and their scan."""
+"""Candidates of a search with a name (effects, steps at moments), and their scan."""
 
 from __future__ import annotations
 
@@ -10,12 +10,9 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.evidence import ReducedPass
-from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import grounds, scan
-from handcal.laws.best_law import Term
-from handcal.model_score import MOMENTS, of_use, prior
-from handcal.search.climb.state import Climb
+from handcal.model_score import MOMENTS, prior
 from handcal.search.jumps import sudden
 from handcal.search.space import Space, space
 from handcal.types import Array
@@ -79,36 +76,16 @@ def _on(grid: Array, at: float) -> bool:
     return bool(np.min(np.abs(grid - at)) < 2e-3)
 
 
-def scanned(c: Climb) -> Space:
-    """The scan of all candidates, and of all terms so far, about the climb's model."""
-    return scanned_about(c.model, c.unnamed, c.dropped | c.beyond)
-
-
-def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Space:
-    """The scan of all candidates and these terms about a model; refused: names at odds that rule
-    them out."""
+def scanned_about(model: Model, refused: Set[str] = frozenset()) -> Space:
+    """The scan of all candidates about a model; refused: names at odds that rule them out."""
     own = {e.id: e for e in model.effects}
     cases = [f.case for f in model.parts]
     about = grounds(model)
     on_trial = candidates(model.parts, model.effects, about[0].done)
     options = [own.get(e.id, e) for e in on_trial]
-    options += [own.get(t.effect.id, t.effect) for t in terms]
     have = {e.id for e in options}
     options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = {e.id: prior(e, cases) for e in options}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in refused}
     odds |= {e.id: -REFUSED for e in options if e.common and e.id in own}
     return space(scan(model, options, about), options, odds)
-
-
-def fitted_with(
-    model: Model, where: Space, chosen: Set[str], than: Model | None = None, worth: float = 1.0
-) -> Model:
-    """The fit of a set of candidates in place of the model's effects, with its noise effects.
-
-    model: start of the fit. than: a model to exceed, at this worth of evidence, or the fit may stop
-    early.
-    """
-    noise = [e for e in model.effects if e.process is not None]
-    wanted = [*(where.effects[i] for i in sorted(chosen)), *noise]
-    return fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))
