@@ -9,8 +9,6 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,6 @@ from worlds import recording_of
 
 import handcal.explain
 from handcal.commands._app import app
-from handcal.estimate.forked import in_parallel
 from handcal.explain import explain
 from handcal.interrupt import ENDING, asked
 from handcal.live import run
@@ -118,21 +115,6 @@ def test_whoever_stops_has_what_was_found_by_then(recording: Recording) -> None:
     assert [m.effect for m in found.missing] == ["gyro_quadratic"]
     assert "laws that have no name" in found.untried
     assert f"searching what is missing{SO_FAR}gyro_quadratic" in stages
-
-
-def test_a_step_that_is_cut_keeps_what_it_has() -> None:
-    asked_for = count()
-    budget = Budget(stop=lambda: next(asked_for) >= 3)
-    done = list(in_parallel(partial(pow, n, 2) for n in budget.each(range(9))))
-    assert done == [0, 1, 4]
-    assert budget.cut
-    assert budget.spent("the rest")
-
-
-def test_a_step_that_ended_in_time_is_not_cut() -> None:
-    budget = Budget()
-    assert list(budget.each("abc")) == ["a", "b", "c"]
-    assert not budget.cut
 
 
 @pytest.fixture

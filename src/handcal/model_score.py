@@ -21,8 +21,10 @@ TERM_PRIOR = PRIOR - math.log(LAWS)
 # Errors that go with the motion that are on trial: two ways, on seven sets of axes of two sensors
 # and on the heading.
 WITH_MOTION = 30
-# Moments of a step that are on trial.
+# Moments of a step that are on trial; and length of the short windows of errors, s, the interval
+# between looks at a held point, and the largest count of them.
 MOMENTS = 16
+WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
 # A name is clear when it has that share of the set that could stand in its place.
 NAMED = 0.9
 # Nats of evidence that a fit may gain after it came to rest, or sank twice, at the noise levels of
@@ -41,8 +43,9 @@ def probability(gain: float) -> float:
 def prior(effect: Effect, cases: Sequence[Case]) -> float:
     """Log prior odds of an effect in these recordings.
 
-    Noise pays for its unknown levels. A step shares its odds over the moments on trial; where
-    it was put at the reading that was least expected, all readings were looked at. What a hand that
+    Noise pays for its unknown levels. A step shares its odds over the moments on trial (an IMU's:
+    all short windows); where it was put at the reading that was least expected, all readings were
+    looked at. What a hand that
     turns the device about no single point can lend to an effect counts where only that point's rest
     tells of it. A law without a name pays for what its form was chosen from. What every
     device has costs nothing.
@@ -62,6 +65,9 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
 
 
 def _moments(effect: Effect, cases: Sequence[Case]) -> int:
+    if effect.imu_error is not None:
+        windows = min(case.recording.duration_s for case in cases) / WINDOW
+        return int(min(max(windows, MOMENTS), MOST_WINDOWS))
     if not effect.held:
         return MOMENTS
     observed = [(o, rows) for case in cases for o, rows, _ in case.observed]

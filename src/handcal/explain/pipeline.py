@@ -206,7 +206,7 @@ def _by_the_rests(
 
     (Only after the search, since sensor errors look like a travelling hand.)
     """
-    far = [travels(f) for f in _as_held(end.found.model).parts]
+    far = [travels(f) for f in _as_held(end).parts]
     if not any(far) or budget.spent("a hand that travels between rests"):
         return end
     laid = dense(
@@ -227,11 +227,14 @@ def _by_the_rests(
     return replace(other, surely=-surely, rests=True)
 
 
-def _as_held(model: Model) -> Model:
+def _as_held(end: End) -> Model:
     """The model without motion-dependent noise of the accelerometer, which would absorb the travel
-    of a hand."""
+    of a hand; the baseline, if a fit without that noise does not come as far."""
+    model = end.found.model
     kept = [e for e in model.effects if not (is_with_motion(e.id) and e.walks == "accel")]
-    return model if len(kept) == len(model.effects) else fitted(model.parts, kept)
+    if len(kept) == len(model.effects):
+        return model
+    return max(fitted(model.parts, kept), end.base, key=lambda m: m.log_evidence)
 
 
 def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specification | None]:

@@ -23,12 +23,10 @@ from handcal.laws.drivers import COURSELESS, HEADING, LINE, Driver
 from handcal.laws.grammar import curves, range_of
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
 from handcal.laws.weighing import Beside, gains
+from handcal.model_score import MOST_WINDOWS, WINDOW
 from handcal.signals import some
 from handcal.types import Array, IntArray
 
-# Length of a window, s, the interval between observations of a held point; and the largest count
-# of windows, with the square of which the work grows.
-WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
 # Sampling rate of courses, Hz: a hand has hardly anything faster.
 RATE = 40.0
 # Relative variation of a signal from which the effect of its size can be told from a constant.

@@ -9,7 +9,7 @@ proposal that fails, half is tried. If no proposal raises the score, the climb e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
@@ -47,7 +47,7 @@ LOOK = 3.0
 # Nats that a law may gain more in the place of something than about the fit with that.
 BENT = 40.0
 # Nats of score within which two fits are the same.
-SAME = 0.3
+SAME = 0.1
 
 # An effect that a proposal adds, and its noise levels in each recording.
 Coming = tuple[Effect, Levels]
@@ -117,7 +117,10 @@ def climbed(c: Climb, model: Model, report: Report) -> Model:
     """The model at the end of a climb."""
     for turn in range(TURNS):
         report(min(0.95, 0.15 + 0.1 * turn), model)
-        better_one = None if c.budget.spent("further effects") else _next(c, model)
+        if c.budget.spent("further effects"):
+            c.budget.note("laws that have no name")
+            break
+        better_one = _next(c, model)
         if better_one is None:
             break
         model = better_one
@@ -131,22 +134,23 @@ def _next(c: Climb, model: Model) -> Model | None:
     while True:
         now, best = select(r, priors, c.made.processes_in(r), model.chosen)
         promised = best.score - now.score
+        ways: list[Callable[[], Model | frozenset[str]]] = []
+        if promised >= PROMISE:
+            ways.append(partial(_fitted, model, r, _change(model, r, priors, best)))
         if look is not None and (promised < PROMISE or _gain(model, look, r.worth) > promised):
-            new = fitted(look.parts, look.effects)
-            if raises(model, new, r.worth):
-                return new
+            ways.append(partial(fitted, look.parts, look.effects))
             look = None
-        if promised < PROMISE:
-            break
-        end = _fitted(model, r, _change(model, r, priors, best))
-        if isinstance(end, Model):
-            return end
-        if not end - own - priors.refused:
+        ends = list(in_parallel(ways))
+        better_ones = [m for m in ends if isinstance(m, Model) and raises(model, m, r.worth)]
+        if better_ones:
+            return max(better_ones, key=lambda m: score(m, r.worth))
+        end = ends[0] if promised >= PROMISE and not isinstance(ends[0], Model) else frozenset()
+        if not end - own - priors.refused or c.budget.spent("further effects"):
             break
         # (what failed alone is refused, until nothing new is promised)
         priors = replace(priors, refused=priors.refused | (end - own))
-    ways = other_ways(model, r.worth, c.refused, c.kept)
-    other = next((new for new in ways if raises(model, new, r.worth)), None)
+    others = other_ways(model, r.worth, c.refused, c.kept)
+    other = next((new for new in others if raises(model, new, r.worth)), None)
     if other is not None or c.budget.spent("laws that have no name"):
         return other
     return _with_law(c, model, r, priors, now)

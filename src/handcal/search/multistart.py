@@ -63,7 +63,7 @@ def search(
 
     If the baseline does not converge, the search starts with the one error that makes it converge.
     If its held point sways beyond a hand, it starts from the usual sway, since a wide one absorbs
-    missing physics, and from the baseline if that climb does not end above it.
+    missing physics, and from the baseline if that climb ends below it or with such a sway.
     """
     led = leading(base, refused) if astray(base) else None
     kept = frozenset(base.ids)
@@ -74,7 +74,8 @@ def search(
     if not any(sways_far(f) for f in base.parts):
         return _end(c, base, report)
     found = _end(c, steadied(base).bare, partial(part_of, report, 0.0, 0.5))
-    if better(found.model, base, 1.0) > 0.0 or superseded(found):
+    held = not any(sways_far(f) for f in found.model.parts)
+    if (held and better(found.model, base, 1.0) > 0.0) or superseded(found):
         return found
     other = _end(c, base, partial(part_of, report, 0.5, 0.5))
     return other if advantage(other, found) > 0.0 else found

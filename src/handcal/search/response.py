@@ -101,13 +101,15 @@ class Windows:
 class Response:
     """What additive errors would do to a fit.
 
-    quadratic: of the constants of effects and windows, at the full likelihood. worth: power of the
+    model: of the fit, without noise that the windows hold. quadratic: of the constants of effects
+    and windows, at the full likelihood. worth: power of the
     likelihood. effects: those with a name. noise: processes on trial that windows can hold; levels:
     of those that the model has; filtered: noise of the model that is in the filter. heading: terms
     and curves of a heading on trial, under ids of their own, with their forms; bases: of its
     courses.
     """
 
+    model: Model
     quadratic: Quadratic
     worth: float
     effects: tuple[Effect, ...]
@@ -169,29 +171,34 @@ def response(model: Model, worth: float | None = None) -> Response:
     bases = shapes.heading_bases(duration) if HEADING in windows.sensors else []
     on_heading += [b.effect for b in bases]
     q = _seen(model, [*named, *on_heading], about, windows)
-    place = {(owner, name): i for i, (owner, name) in enumerate(q.names)}
-    at = {
-        key: np.array(
-            [
-                place[f"windows: {key[0]} {key[1]} of {part}", f"w{n}"]
-                for part, w in enumerate(windows.each)
-                for n in range(len(w.phase))
-            ]
-        )
-        for key in windows.at
-    }
     shown = [e for e in all_noise() if any(applicable(f.case, e) for f in model.parts)]
     return Response(
+        model,
         q,
         worth,
         tuple(named),
         tuple(e for e in shown if sensor_of(e) in windows.sensors),
         levels,
         tuple(e for e in model.effects if e.process is not None),
-        replace(windows, at=at),
+        replace(windows, at=_places(q, windows)),
         heading,
         bases,
     )
+
+
+def _places(q: Quadratic, windows: Windows) -> dict[tuple[int, int], IntArray]:
+    """Places of the windows' constants, by sensor and axis."""
+    place = {(owner, name): i for i, (owner, name) in enumerate(q.names)}
+    return {
+        (sensor, axis): np.array(
+            [
+                place[f"windows: {sensor} {axis} of {part}", f"w{n}"]
+                for part, w in enumerate(windows.each)
+                for n in range(len(w.phase))
+            ]
+        )
+        for sensor, axis in windows.at
+    }
 
 
 def _sensors(model: Model) -> list[int]:

@@ -16,15 +16,16 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.model import Model
 from handcal.estimate.prior_root import root_of
 from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.scan import scan
+from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import without
 from handcal.laws import shapes
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.drivers import DRIVERS, HEADING, Driver, usable
-from handcal.laws.grammar import FREEDOM
+from handcal.laws.grammar import FREEDOM, formula
 from handcal.laws.law_effect import AXES_OF, SENSORS, Law, effect_of, law_of
-from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
+from handcal.laws.over_drivers import About, best_of_block, over, tuned, written_out
 from handcal.laws.short_windows import Courses, courses_of, fits_in, gains_of, means
+from handcal.laws.terms import CURVE
 from handcal.laws.vocabulary import CURVED, further
 from handcal.laws.weighing import Beside, beside, gains, wide_root
 from handcal.model_score import TERM_PRIOR
@@ -175,7 +176,9 @@ def _ends(
     for law, nats in _laws(looked, of):
         yield effect_of(law), nats
     if looked.sensor == HEADING:
-        yield from _of_heading(r, beside)
+        ends = list(_of_heading(r, beside))
+        yield from ends
+        yield from _formulas(r, beside, looked, ends)
     elif len(looked.windows.each) == 1:
         for e, nats in _courses(looked):
             yield e, nats + FREEDOM + e.cost
@@ -207,13 +210,33 @@ def _of_heading(r: Response, choice: Choice) -> Iterator[tuple[Effect, float]]:
         many = len(roots), len(at), len(at)
         found = gains(np.broadcast_to(b, many[:2]), np.broadcast_to(G, many), roots)
         best = some[int(np.argmax(found))]
-        yield best, float(found.max() + np.log(np.mean(np.exp(found - found.max())))) + best.cost
+        yield best, float(found.max() + np.log(np.mean(np.exp(found - found.max()))))
     ids = {e.id for e in known}
     index: IntArray = np.array([n for n, (i, _) in enumerate(q.names) if i in ids], dtype=np.int64)
     root = wide_root(q, known, index)
     for basis in r.bases:
         for e, nats in shapes.closest(basis, q, index, root):
             yield e, nats + FREEDOM + e.cost
+
+
+def _formulas(
+    r: Response, choice: Choice, looked: InWindows, ends: Sequence[tuple[Effect, float]]
+) -> Iterator[tuple[Effect, float]]:
+    """Formulas for the best curve of a heading, evaluated by a scan: a heading may err in less than
+    a window."""
+    curves = [(nats, driver) for e, nats in ends if (driver := _curved(e)) and nats > LEAST]
+    for _, driver in sorted(curves, key=lambda x: -x[0])[:1]:
+        law = Law(HEADING, (0,), False, driver, formula([("line", ())]), (1.0,))
+        known = [e for e in r.effects if e.id in choice.names]
+        about = About(r.model, grounds(r.model), known, looked.signals, r.worth)
+        for form, nats in written_out(about, law, looked):
+            yield effect_of(form), nats + form.form.cost
+
+
+def _curved(effect: Effect) -> Driver | None:
+    """The driver of a curve of a heading; None for other effects."""
+    kind = "" if effect.made is None else effect.made[0]
+    return CURVED.get(kind.removeprefix(CURVE)) if kind.startswith(CURVE) else None
 
 
 def groups_of(laws: Iterable[Found]) -> Iterator[list[Found]]:
@@ -239,7 +262,7 @@ def groups_of(laws: Iterable[Found]) -> Iterator[list[Found]]:
 
 def _bases(r: Response, priors: Priors, choice: Choice, sensor: int) -> Iterator[Choice]:
     """A choice, and without what may stand in for a law of a sensor: its noise, weak names as well,
-    all rare names and laws of the sensor as well."""
+    all rare names and laws of the sensor as well, and each of its laws."""
     own = SENSORS[sensor]
     score = choice.where.score
     rest = {i: c for i, c in choice.noise.items() if sensor_of(c.effect) != sensor}
