@@ -22,7 +22,7 @@ from handcal.estimate.specification import document_of
 from handcal.explain import explain
 from handcal.explain.model_file import chosen_from
 from handcal.explanation import Explanation
-from handcal.model_score import MOMENTS, PRIOR, prior
+from handcal.model_score import PRIOR, WINDOW, prior
 from handcal.search.jumps import sudden
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
@@ -151,13 +151,13 @@ def test_a_gradient_needs_a_place() -> None:
 
 
 def test_each_kind_of_step_shares_its_own_odds(plain: Recording) -> None:
-    """Moments of one are no rivals of those of the other; of a magnetometer there are as many as
-    there are readings."""
+    """Moments of one are no rivals of those of the other; of a gyro there are as many as there are
+    short windows, of a magnetometer as there are readings."""
     many = [frozen_at(catalogue()["mag_step"], np.array([0, 0, 0, at])) for at in (5.0, 9.0)]
     one = [frozen_at(catalogue()["gyro_bias_step"], np.array([0, 0, 0, 5.0]))]
     case = case_of(plain, "fixed-point")
     count = len(case.observed[case.kinds.index("magnetometer")][1].t)
-    assert prior(one[0], [case]) == PRIOR - np.log(MOMENTS)
+    assert prior(one[0], [case]) == PRIOR - np.log(int(plain.duration_s / WINDOW))
     assert [prior(e, [case]) for e in many] == [PRIOR - np.log(count)] * 2
     assert prior(catalogue()["mag_gradient"], [case]) == PRIOR
     assert prior(catalogue()["mag_soft_iron"], [case]) == 0.0  # (every magnetometer has it)

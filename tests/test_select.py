@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from handcal.effects import Effect, Param, Signals, catalogue
+from handcal.estimate.fit import diverged
 from handcal.estimate.quadratic import Quadratic
 from handcal.laws import short_windows, with_motion
 from handcal.laws.law_effect import SIZE
@@ -81,7 +82,8 @@ def _response(
     q = Quadratic(tuple(names), 0.0, J.T @ y, J.T @ J)
     told = {k: np.zeros(3) for k in (0, 1)}
     windows = Windows([each] * parts, [motion] * parts, at, told)
-    return Response(q, 1.0, tuple(effects), tuple(noise), {}, (), windows, {}, []), shapes
+    nothing = diverged((), ())
+    return Response(nothing, q, 1.0, tuple(effects), tuple(noise), {}, (), windows, {}, []), shapes
 
 
 def _named(seed: int, sizes: Mapping[int, float], parts: int = 1) -> Response:

@@ -66,7 +66,7 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
 
 def _moments(effect: Effect, cases: Sequence[Case]) -> int:
     if effect.imu_error is not None:
-        windows = min(case.recording.duration_s for case in cases) / WINDOW
+        windows = min((case.recording.duration_s for case in cases), default=0.0) / WINDOW
         return int(min(max(windows, MOMENTS), MOST_WINDOWS))
     if not effect.held:
         return MOMENTS
