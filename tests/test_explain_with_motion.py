@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,7 +24,12 @@ from handcal.show.explanation.document import explanation_json
 from handcal.types import Array, Recording
 from handcal_sim import simulate
 
-ALL = [e for of in with_motion.effects() for e in (of, *with_motion.fewer(of))]
+ALL = [
+    with_motion.on_axes(of, axes)
+    for of in with_motion.effects()
+    for n in range(1, len(with_motion.channels(of)) + 1)
+    for axes in combinations(range(len(with_motion.channels(of))), n)
+]
 
 
 def noise_levels(e: with_motion.Effect) -> dict[str, float]:

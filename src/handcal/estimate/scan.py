@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from handcal.effects import Effect
 from handcal.estimate.case import problem_with
-from handcal.estimate.columns import Ground, ground, widened
-from handcal.estimate.model import Model
+from handcal.estimate.columns import Ground, Wider, ground, widened
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic, local, total
 from handcal.estimate.robust import excess
 from handcal.estimate.transfer import fit_of
@@ -20,6 +20,12 @@ def grounds(model: Model) -> list[Ground]:
         own = fit_of(f, model.effects)
         out.append(ground(own.linear, problem_with(own.case, model.effects), own.levels))
     return out
+
+
+def with_new(f: Fitted, about: Ground, new: Sequence[Effect]) -> Wider:
+    """The pass over one recording with further effects, which its model lacks."""
+    seen = [e for e in new if e.acts_now_on & set(f.case.kinds)]
+    return widened(about, new, problem_with(f.case, seen) if seen else None)
 
 
 def scan(
@@ -39,8 +45,7 @@ def scan(
     everything = frozenset(have | {e.id for e in new})
     parts = []
     for f, base in zip(model.parts, grounds(model) if about is None else about, strict=True):
-        seen = [e for e in new if e.acts_now_on & set(f.case.kinds)]
-        done = widened(base, new, problem_with(f.case, seen) if seen else None)
+        done = with_new(f, base, new)
         q = local(done, everything).quadratic
         own = 1.0 / excess(done, frozenset(have)) if worth is None else worth
         parts.append(Quadratic(q.names, q.a, own * q.b, own * q.G, own))

@@ -26,7 +26,6 @@ from handcal.types import Array
 # Shares of a course, root mean square, that a step of one of its numbers changes, one after the
 # other; steps of one share at the most.
 SHARES, TURNS = (0.3, 0.15, 0.075, 0.04, 0.02, 0.01), 12
-# And of those on trial, beside others.
 # Numbers of which up to so many are tried together (of a switch, what its start does its length may
 # undo; of a spell, one edge has nothing to do with the other).
 FEW = 3

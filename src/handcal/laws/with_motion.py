@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from functools import cache
-from itertools import combinations
 
 import numpy as np
 
@@ -80,14 +79,6 @@ def effects() -> Iterator[Effect]:
     for sensor in SENSORS:
         for kind in KINDS:
             yield effect(sensor, (0,) if sensor == "heading" else (0, 1, 2), kind)
-
-
-def fewer(of: Effect) -> list[Effect]:
-    """The same on fewer axes."""
-    sensor, axes, kind = _parts(of.id)
-    return [
-        effect(sensor, some, kind) for n in range(1, len(axes)) for some in combinations(axes, n)
-    ]
 
 
 def on_axes(of: Effect, axes: tuple[int, ...]) -> Effect:

@@ -8,7 +8,7 @@ absorbed; and the model without noise, or without a weak name whose own scores s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
@@ -59,13 +59,7 @@ def noise_of(model: Model, kept: Set[str]) -> list[Effect]:
 def without_noise(model: Model, kept: Set[str]) -> list[tuple[Effect, Model]]:
     """The model without each of its noise effects, fitted."""
     noise = noise_of(model, kept)
-    return list(
-        zip(
-            noise,
-            in_parallel(partial(fitted, model.parts, _rest(model, e)) for e in noise),
-            strict=True,
-        )
-    )
+    return list(zip(noise, _fits(model, [_rest(model, e) for e in noise]), strict=True))
 
 
 def unsure(model: Model, kept: Set[str], worth: float) -> tuple[Effect, Model] | None:
@@ -91,11 +85,9 @@ def swaps_of(
     """Nats lost with a rival fitted in an effect's place, of those that are equal to first
     order."""
     pairs = _alike(model, refused, kept)
-    ways = (_with_other(model, e, catalogue()[rival]) for e, rival in pairs)
+    ways = [_with_other(model, e, catalogue()[rival]) for e, rival in pairs]
     out: dict[tuple[str, str], float] = {}
-    for (e, rival), tried in zip(
-        pairs, in_parallel(partial(fitted, model.parts, x) for x in ways), strict=True
-    ):
+    for (e, rival), tried in zip(pairs, _fits(model, ways), strict=True):
         # (a rival with a negative value of a positive parameter does not count)
         worse = better(model, tried, worth) if tried.one_sided else math.inf
         out[e.id, rival], out[rival, e.id] = worse, -worse
@@ -122,6 +114,11 @@ def akin(a: str, b: str) -> bool:
     """Whether two effects are equal to first order."""
     one, other = catalogue().get(a), catalogue().get(b)
     return one is not None and other is not None and (b in one.akin or a in other.akin)
+
+
+def _fits(model: Model, sets: Iterable[Sequence[Effect]]) -> Iterator[Model]:
+    """Fits of these sets of effects, from the model on."""
+    return in_parallel(partial(fitted, model.parts, effects) for effects in sets)
 
 
 def _rest(model: Model, e: Effect) -> list[Effect]:

@@ -1,10 +1,10 @@
 """The climb from a fit to the likeliest model: select on the one matrix of the fit, fit what was
 selected, and keep it if, and only if, the score rises.
 
-Each turn works out the response of the model once. Proposals come from the matrix, the most
-promising first: names, steps and noise; noise of short memory, which windows cannot hold, by a look
-of the filter; laws; and last what no combination of columns shows (``beyond_columns``). Of a
-proposal that fails, half is tried. If no proposal raises the score, the climb ends.
+Each turn works out the response of the model once. Proposals, in their order: names, steps and
+noise from the matrix, beside the likeliest noise by a look of the filter; what no combination of
+columns shows (``beyond_columns``); laws. Of a choice that fails, half is tried. If no proposal
+raises the score, the climb ends.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def _next(c: Climb, model: Model) -> Model | None:
         promised = best.score - now.score
         ways: list[Callable[[], Model | frozenset[str]]] = []
         if promised >= PROMISE:
-            ways.append(partial(_fitted, model, r, _change(model, r, priors, best)))
+            ways.append(partial(_fitted, model, r, _change(r, priors, now, best)))
         if look is not None and (promised < PROMISE or _gain(model, look, r.worth) > promised):
             ways.append(partial(fitted, look.parts, look.effects))
             look = None
@@ -167,22 +167,17 @@ def raises(model: Model, new: Model, worth: float) -> bool:
     return sensible(new) and better(new, model, worth) > max(SAME, worth * new.swing)
 
 
-def _have(model: Model, r: Response) -> frozenset[str]:
-    """Ids of the model's effects but for noise that stays in the filter."""
-    return frozenset((*model.chosen, *r.levels))
-
-
 def _priors(c: Climb, model: Model) -> Priors:
     always = {e.id for e in model.effects if e.process is None and (e.common or e.id in c.kept)}
     odds = partial(prior, cases=[f.case for f in model.parts])
     return Priors(odds, c.refused - {name_of(i) for i in model.ids}, frozenset(always))
 
 
-def _change(model: Model, r: Response, priors: Priors, choice: Choice) -> Change:
-    have = _have(model, r)
+def _change(r: Response, priors: Priors, now: Choice, choice: Choice) -> Change:
+    """What a choice changes of the present one, the surest first."""
     lost = missed(r, priors, choice)
-    new = sorted(choice.ids - have, key=lambda i: -lost[i])
-    return Change([choice.effects[i] for i in new], have - choice.ids)
+    new = sorted(choice.ids - now.ids, key=lambda i: -lost[i])
+    return Change([choice.effects[i] for i in new], now.ids - choice.ids)
 
 
 def _fitted(model: Model, r: Response, change: Change | None) -> Model | frozenset[str]:

@@ -19,13 +19,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from handcal.effects import Effect, Signals
-from handcal.estimate.case import applicable, name_of, problem_with
-from handcal.estimate.columns import Ground, Wider, widened
+from handcal.estimate.case import applicable, name_of
+from handcal.estimate.columns import Ground, Wider
 from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic, total
 from handcal.estimate.robust import excess
-from handcal.estimate.scan import grounds, scan
+from handcal.estimate.scan import grounds, scan, with_new
 from handcal.estimate.transfer import without
 from handcal.laws import shapes, short_windows, terms
 from handcal.laws.drivers import HEADING
@@ -102,11 +102,10 @@ class Response:
     """What additive errors would do to a fit.
 
     model: of the fit, without noise that the windows hold. quadratic: of the constants of effects
-    and windows, at the full likelihood. worth: power of the
-    likelihood. effects: those with a name. noise: processes on trial that windows can hold; levels:
-    of those that the model has; filtered: noise of the model that is in the filter. heading: terms
-    and curves of a heading on trial, under ids of their own, with their forms; bases: of its
-    courses.
+    and windows, at the full likelihood. worth: power of the likelihood. effects: those with a name.
+    noise: processes on trial on these sensors; levels: of those that the model has and windows
+    hold; filtered: noise of the model that is in the filter. heading: terms and curves of a heading
+    on trial, under ids of their own, with their forms; bases: of its courses.
     """
 
     model: Model
@@ -230,9 +229,7 @@ def _worth(f: Fitted, about: Ground, model: Model, named: Sequence[Effect]) -> f
 
 def _wide(f: Fitted, about: Ground, model: Model, named: Sequence[Effect]) -> Wider:
     """The pass over one recording with those of these effects that its model lacks."""
-    new = [e for e in named if e.id not in model.ids]
-    mine = [e for e in new if e.acts_now_on & set(f.case.kinds)]
-    return widened(about, new, problem_with(f.case, mine) if mine else None)
+    return with_new(f, about, [e for e in named if e.id not in model.ids])
 
 
 def _seen(
