@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from worlds import recording_of
 
 from handcal.effects import select
-from handcal.estimate.baseline import baseline
+from handcal.estimate.baseline import baseline, dense
 from handcal.estimate.case import Case, case_of, creeping
 from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.hand_sway import sway_of
@@ -135,6 +135,19 @@ def test_another_hand_is_another_place(seed: int) -> None:
     assert new < held
     (said,) = (w for w in moved.warnings if "moves to another place" in w)
     assert said in other.parts[0].case.warnings
+
+
+@pytest.mark.prove
+def test_another_place_is_found_whatever_the_noise_that_its_fit_begins_with() -> None:
+    """At the usual noise the fit of the other place has a thousand nats less than at its own."""
+    world = simulate(people(free_hand, [changes_hands]), seed=0, duration_s=50.0)
+    base = dense(baseline([case_of(recording_of(world, "heading"), "fixed-point")]))
+    weak = fitted(base.parts, [*base.effects, *select(["accel_cross_products"])])
+    found = drifting_point.moving(base, weak, {"accel_cross_products": 1.0})
+    assert found is not None
+    other, nats = found
+    assert nats > 0.0
+    assert any("moves to another place" in w for w in other.parts[0].case.warnings)
 
 
 def test_a_move_is_written_and_read_to_the_last_bit() -> None:

@@ -23,7 +23,7 @@ from handcal.estimate.forked import in_parallel
 from handcal.estimate.hand_sway import HAND_SWAY, TRAVEL_NATS, beyond_a_hand
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sampling import interpolated
-from handcal.model_score import PRIOR, better, of_use
+from handcal.model_score import PRIOR, better
 from handcal.observations.fixed_position import CREEPING
 from handcal.search.select_laws import WEAK
 from handcal.types import Array, HandcalError
@@ -87,9 +87,7 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     if not hands:
         return None
     tried = [(hand, way) for hand in hands for way in ways]
-    fits = in_parallel(
-        partial(_fit, hand, way, of_use(model, way, 1.0) - sum(far)) for hand, way in tried
-    )
+    fits = in_parallel(partial(_fit, hand, way) for hand, way in tried)
     # (every arm tires a little, so that costs nothing; what is spared does)
     nats, best = max(
         ((_advantage(m, model, far), hand) for m, (hand, _) in zip(fits, tried, strict=True)),
@@ -223,11 +221,14 @@ def _slowest(t: Array, speed: Array, first: float, last: float) -> float:
     return float(t[here[np.argmin(speed[here])]])
 
 
-def _fit(cases: Sequence[Case], effects: Sequence[Effect], least: float = -math.inf) -> Model:
-    """The fit of such a hand, until its evidence sinks below ``least``; one that is worse than any
-    other where it diverges."""
+def _fit(cases: Sequence[Case], effects: Sequence[Effect]) -> Model:
+    """The fit of such a hand; one that is worse than any other where it diverges.
+
+    (It begins with the usual noise, at which its evidence may sink by a thousand nats on the way to
+    the best of all.)
+    """
     begin = (started(case, effects) for case in cases)
     try:
-        return fitted(begin, effects, noise_rounds=2, of_use=least)
+        return fitted(begin, effects, noise_rounds=2)
     except HandcalError:
         return diverged((), effects)
