@@ -42,6 +42,9 @@ LEAST = -TERM_PRIOR - 8.0
 NEAR = 10.0
 # Names that gain less may stand in for a law.
 WEAK = 100.0
+# A curve is written out as formulas if its score, and this share of its gain more, comes within so
+# many nats of the best: knots are too few for what is sharp, and a fit may gain more.
+SHARP, WITHIN = 0.1, 50.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,18 +158,30 @@ def laws_of(
     courses: Sequence[Courses],
     spared: Sequence[Effect] = (),
 ) -> Iterator[Found]:
-    """Laws of a sensor beside a choice, or in the place of what may stand in for them; spared:
-    noise that was in the filter and is not in this matrix."""
+    """Laws of a sensor beside a choice, or in the place of what may stand in for them, and formulas
+    for the best curves; spared: noise that was in the filter and is not in this matrix."""
     gained = -sum(map(priors.of, spared))
+
+    def found(other: Choice, e: Effect, nats: float) -> Found:
+        go = (choice.ids - other.ids).union(x.id for x in spared)
+        return Found(e, other, go, nats, other.score + gained + nats + priors.of(e))
+
+    ends: list[tuple[Found, InWindows]] = []
     for other in _bases(r, priors, choice, sensor):
         b, G = windows_beside(r, other.names, other.noise, sensor)
         at = {str(a): x for a, x in enumerate(np.arange(b.size).reshape(b.shape))}
         b, G = r.worth * b.ravel(), r.worth * G.reshape(b.size, b.size)
         looked = InWindows(Beside(b, G, at), r.windows, sensor)
-        for e, nats in _ends(r, other, looked, courses):
+        ends += [(found(other, *end), looked) for end in _ends(r, other, looked, courses)]
+    top = max([choice.score, *(f.score for f, _ in ends)])
+    for f, looked in ends:
+        forms = [(f.effect, f.nats)]
+        law = law_of(f.effect)
+        if law and law.form.smooth and f.score + SHARP * f.nats > top - WITHIN:
+            forms += [(effect_of(x), v + x.form.cost) for x, v in written_out(looked, law, looked)]
+        for e, nats in forms:
             if e.id not in {*priors.refused, *choice.names}:
-                go = (choice.ids - other.ids).union(x.id for x in spared)
-                yield Found(e, other, go, nats, other.score + gained + nats + priors.of(e))
+                yield found(f.beside, e, nats)
 
 
 def _ends(
@@ -289,7 +304,7 @@ def _bases(r: Response, priors: Priors, choice: Choice, sensor: int) -> Iterator
 
 
 def _laws(looked: InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law, float]]:
-    """The likeliest laws as formulas and curves, with what they gain, their costs unpaid."""
+    """The likeliest laws over each driver, with what they gain, their costs unpaid."""
     ranked = sorted(
         (
             (float(nats), driver)
@@ -307,8 +322,6 @@ def _laws(looked: InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law, 
                 if law.driver.number:
                     law, nats = tuned(looked, law, nats)
                 yield law, nats
-                if law.form.smooth:
-                    yield from ((x, v + x.form.cost) for x, v in written_out(looked, law, looked))
 
 
 def _each_kind(drivers: Sequence[Driver], most: int) -> dict[Driver, None]:
