@@ -145,6 +145,19 @@ def test_a_motion_that_gets_no_further_gives_way_to_the_one_that_is_best():
     assert "100 % done" not in {far for _, far in said}
 
 
+def test_a_motion_that_separates_explanations_comes_first_and_once():
+    guide, bias = Guide(), parameter("gyro_bias", "z", 0.01, "rad/s")
+    for k, motion in enumerate((FIRST.motion, CHOICE[3].motion)):
+        if k == 0:
+            guide.wanted = CHOICE[3], "It separates this from that."
+        gyro = rates(motion)
+        begin = 60 * 10**9 * k
+        guide.saw(begin + np.arange(len(gyro)) * round(1e9 / RATE), gyro)
+        guide.learned(look(bias, end_s=60.0 * k + 59.0, following=CHOICE[0].name))
+        assert ("It separates" in guide.told()["turn"]["hint"]) == (k == 0)
+    assert guide.asked == [CHOICE[3].name, CHOICE[0].name]
+
+
 def test_a_motion_that_gets_on_slowly_is_waited_for():
     guide = Guide()
     own = rates(CHOICE[0].motion, faster=0.1)

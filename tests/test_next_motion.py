@@ -23,6 +23,7 @@ from handcal.estimate.transfer import moved_to
 from handcal.explain import next_motion
 from handcal.explain.next_motion import _believed, _informations, next_motions
 from handcal.explanation import ENOUGH_TO_SHOW, Hypothesis, Missing
+from handcal.live.turns import CHOICE, asked_for
 from handcal.motions import MOTIONS, Motion, attitude, recording_of
 from handcal.recordings import segment
 from handcal.recordings.streams import STREAMS
@@ -214,6 +215,14 @@ def _read(recording: Recording, like: Fitted, scale: Array, rng: np.random.Gener
     )
     streams = {"heading": Series(heading.t, so3.wrap(noisy))}
     return replace(recording, imu=replace(imu, gyro=gyro, accel=imu.accel + accel), streams=streams)
+
+
+def test_of_the_turns_of_a_session_one_both_ways_separates_them(one_way: Found) -> None:
+    set_ = [_set("gyro_scale", "gyro_quadratic")]
+    (told,) = next_motions(one_way, set_, [], "cannot_tell", [a.motion for a in CHOICE])
+    turns = asked_for(told.motion).motion.turns
+    assert told.separates == ("gyro_scale", "gyro_quadratic")
+    assert {np.sign(degrees) for axis, degrees, _ in turns if axis[2] and degrees} == {-1.0, 1.0}
 
 
 def test_no_motion_separates_a_gauge() -> None:

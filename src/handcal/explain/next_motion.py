@@ -47,9 +47,14 @@ MOST = 3
 
 
 def next_motions(
-    found: Found, missing: Sequence[Missing], hypotheses: Sequence[Hypothesis], verdict: str
+    found: Found,
+    missing: Sequence[Missing],
+    hypotheses: Sequence[Hypothesis],
+    verdict: str,
+    motions: Sequence[Motion] = MOTIONS,
 ) -> tuple[NextMotion, ...]:
-    """The motions that set apart what looked alike, then one that shows what was hidden.
+    """The motions that set apart what looked alike, then one that shows what was hidden. motions:
+    of which they are chosen.
 
     Nothing where nothing needs telling, or where none of the motions would tell.
     """
@@ -64,7 +69,7 @@ def next_motions(
     if not sets and not hidden:
         return ()
     wanted = chosen.union(hidden, *sets)
-    information = _informations(found, wanted)
+    information = _informations(found, wanted, motions)
     out: list[NextMotion] = []
     for set_ in sets:
         out += _separating(where, information, chosen, set_)
@@ -86,7 +91,9 @@ def _members(where: Space, chosen: frozenset[str], missing: Missing) -> list[str
     return out
 
 
-def _informations(found: Found, wanted: frozenset[str]) -> dict[Motion, Array]:
+def _informations(
+    found: Found, wanted: frozenset[str], motions: Sequence[Motion] = MOTIONS
+) -> dict[Motion, Array]:
     """What each motion would tell of the space's parameters: G (k, k) of each motion that
     can be made sense of with the streams there are."""
     f, where = found.model.parts[0], found.space
@@ -97,7 +104,7 @@ def _informations(found: Found, wanted: frozenset[str]) -> dict[Motion, Array]:
         return {}
     warmth = "temperature" in f.case.recording.streams
     out = {}
-    for motion in MOTIONS:
+    for motion in motions:
         if motion.warming and not warmth:
             continue
         try:

@@ -27,11 +27,14 @@ LONGEST_STEP_S = 0.1
 
 @dataclass
 class Guide:
-    """watched: the motion that is asked for; before: the look when it was asked for; brought: what
-    the last one did; over_ns: when the last motion was over, None while one is being done; most,
-    since_ns: how far this one has come, and when it last got further."""
+    """watched: the motion that is asked for; why: what it separates; wanted: a motion to ask for
+    next that separates explanations, and a sentence that says which; before: the look when it was
+    asked for; brought: what the last one did; over_ns: when the last motion was over, None while
+    one is being done; most, since_ns: how far this one has come, and when it last got further."""
 
     watched: Watched = field(default_factory=lambda: Watched(FIRST))
+    why: str = ""
+    wanted: tuple[Asked, str] | None = None
     look: Look | None = None
     before: Look | None = None
     brought: str = ""
@@ -58,16 +61,19 @@ class Guide:
             if self.watched.over:
                 self.over_ns = self.last_ns
             elif self.last_ns - self.since_ns > PATIENCE_S * 1e9:
-                self._ask(self._best)
+                self._ask(*self._best)
         elif self.last_ns - self.over_ns > PATIENCE_S * 1e9:
             self._ask(CHOICE[len(self.asked) % len(CHOICE)])
 
     @property
-    def _best(self) -> Asked:
-        """By the last look; without one they follow one another."""
+    def _best(self) -> tuple[Asked, str]:
+        """What separates explanations; else by the last look; without one they follow one
+        another."""
+        if self.wanted is not None:
+            return self.wanted
         if self.look is not None and self.look.next is not None:
-            return asked_for(self.look.next.name)
-        return CHOICE[len(self.asked) % len(CHOICE)]
+            return asked_for(self.look.next.name), ""
+        return CHOICE[len(self.asked) % len(CHOICE)], ""
 
     def learned(self, look: Look) -> None:
         """A new look: it says what the last motion brought, and which is next."""
@@ -77,10 +83,11 @@ class Guide:
         if self.before is not None:
             self.brought = brought(self.before, look, self.watched.asked.name)
         if look.next is not None and not look.enough:
-            self._ask(asked_for(look.next.name))
+            self._ask(*self._best)
 
-    def _ask(self, asked: Asked) -> None:
+    def _ask(self, asked: Asked, why: str = "") -> None:
         self.watched, self.before, self.over_ns = Watched(asked), self.look, None
+        self.why, self.wanted = why, None
         self.most, self.since_ns = 0.0, None
         self.asked.append(asked.name)
 
@@ -101,8 +108,8 @@ class Guide:
             return out | {"turn": {"say": WAIT, "done": 1.0}}
         now = self.watched
         say = now.asked.motion.sentence if now.asked is FIRST else now.sentence
-        turn = {"say": say, "hint": now.hint, "done": round(now.done, 3), "step": now.at + 1,
-                "steps": len(now.steps), "name": now.asked.name,
+        turn = {"say": say, "hint": now.hint or self.why, "done": round(now.done, 3),
+                "step": now.at + 1, "steps": len(now.steps), "name": now.asked.name,
                 "picture": now.picture}  # fmt: skip
         return out | {"turn": turn}
 

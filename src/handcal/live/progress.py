@@ -1,11 +1,12 @@
-"""A session on its way: guidance, looks, what ``explain`` says so far, and who is told."""
+"""A session on its way: guidance, looks, the leading explanation, and where they are shown."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from handcal.live.guide import Guide, steps_s
 from handcal.live.looks import Look, Looks, with_effects
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
+from handcal.live.turns import CHOICE, asked_for
 from handcal.show import words
 from handcal.types import (
     Array,
@@ -28,9 +30,13 @@ from handcal.types import (
     Recording,
 )
 
-# `explain` runs behind once there is so much, s, and again when there is so many times as much.
-EXPLAIN_S, EXPLAIN_AGAIN = 20.0, 1.6
-# Its time limit while somebody waits, s; at the end there is none.
+if TYPE_CHECKING:
+    from handcal.explain.leading import Leading
+    from handcal.explanation import Missing
+
+# The leading explanation is looked for once there is so much, s, and again after so much more.
+EXPLAIN_S, EXPLAIN_AGAIN_S = 20.0, 4.0
+# Its time limit while somebody waits, s.
 BEHIND_S = 20.0
 # So often, s of recording, the terminal says how far what is asked for is, if nothing else is new.
 AGAIN_S = 5.0
@@ -57,31 +63,21 @@ class Board(Protocol):
         """Nats for each leading hypothesis at t (s)."""
 
 
-@dataclass(frozen=True)
-class SoFar:
-    """What ``explain`` says of the session so far: effects with probability and nats."""
-
-    seconds: float
-    found: tuple[tuple[str, float, float], ...]
-
-
-def explained_so_far(recording: Recording, before: Prior | None) -> SoFar | None:
-    """Run ``explain`` for a while over what there is; None where it cannot say."""
-    from handcal.explain import explain
+def explained_so_far(recording: Recording, before: Prior | None) -> Leading | None:
+    """The leading explanation of what there is; None where no fit converges."""
+    from handcal.explain.leading import leading
+    from handcal.search.budget import after
 
     try:
-        found = explain([recording], budget=BEHIND_S, before=before)
+        budget = after(time.monotonic(), BEHIND_S)
+        return leading(recording, before, [asked.motion for asked in CHOICE], budget)
     except HandcalError:
         return None
-    return SoFar(
-        recording.duration_s,
-        tuple((m.effect, m.probability, m.log_evidence_gain) for m in found.missing),
-    )
 
 
 @dataclass
 class Live:
-    """Ticks a few times a second. workers: processes for looks and for ``explain``."""
+    """Ticks a few times a second. explainer: a process for the leading explanation."""
 
     session: Session
     wanted: Wanted
@@ -91,8 +87,8 @@ class Live:
     say: Callable[[str], None] = lambda _: None
     guide: Guide = field(default_factory=Guide)
     convention: Convention | None = None
-    so_far: SoFar | None = None
-    explaining: Future[SoFar | None] | None = None
+    so_far: Leading | None = None
+    explaining: Future[Leading | None] | None = None
     next_explain_s: float = EXPLAIN_S
     attitude: tuple[int, Array] | None = None
     drawn_ns: int = -1
@@ -221,7 +217,7 @@ class Live:
         self.attitude = int(at[-1]), C
 
     def _explain(self) -> None:
-        """Take in what ``explain`` found, and let it run again when there is more."""
+        """Take in the leading explanation, and look for it again when there is more."""
         if self.explaining is not None and self.explaining.done():
             try:
                 self.so_far = self.explaining.result() or self.so_far
@@ -229,27 +225,32 @@ class Live:
                 self.explainer = None
             self.explaining = None
             if self.so_far is not None:
-                from handcal.show.explanation.words import percent
-
-                found = self.so_far.found
-                if not self.wanted.effects:
-                    with_effects(self.looks, [effect for effect, _, _ in found])
-                self.session.told["so_far"] = [
-                    f"{words.effect_title(e)}: {percent(p)}, {g:,.0f} nats" for e, p, g in found
-                ]
-                if self.board is not None:
-                    t = self.session.recorder.seconds
-                    self.board.hypotheses(t, {e: g for e, _, g in found})
+                self._lead(self.so_far)
         due = self.session.recorder.seconds >= self.next_explain_s
         if self.explainer is None or self.explaining is not None or not due:
             return
         recording = self._recording()
         if recording is None:
             return
-        self.next_explain_s = EXPLAIN_AGAIN * self.session.recorder.seconds
+        self.next_explain_s = self.session.recorder.seconds + EXPLAIN_AGAIN_S
         self.explaining = self.explainer.submit(
             explained_so_far, recording, self.looks.before or self.wanted.before
         )
+
+    def _lead(self, so_far: Leading) -> None:
+        """Show, estimate and ask for what the leading explanation says."""
+        if not self.wanted.effects:
+            with_effects(self.looks, [m.effect for m in so_far.missing])
+        said = [_leads(m) for m in so_far.missing]
+        if said and said != self.session.told.get("so_far"):
+            self.say(f"So far best explained by: {'; '.join(said)}.")
+        self.session.told["so_far"] = said
+        for following in so_far.next[:1]:
+            titles = words.listed([words.effect_title(i) for i in following.separates])
+            self.guide.wanted = asked_for(following.motion), f"It separates {titles}."
+        if self.board is not None:
+            gains = {m.effect: m.log_evidence_gain for m in so_far.missing}
+            self.board.hypotheses(self.session.recorder.seconds, gains)
 
     def _tell(self) -> None:
         told_now = self.guide.told()
@@ -283,6 +284,14 @@ class Live:
 
     def _t(self, ns: int) -> float:
         return (ns - self._zero()) / 1e9
+
+
+def _leads(m: Missing) -> str:
+    """An effect of the leading explanation, with those that could stand in its place."""
+    from handcal.show.explanation.words import percent
+
+    names = " or ".join(words.effect_title(i) for i in (m.effect, *m.indistinguishable_from))
+    return f"{names}: {percent(m.probability)}, {m.log_evidence_gain:,.0f} nats"
 
 
 def bars(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -105,12 +105,13 @@ class Change:
 @dataclass(frozen=True, eq=False)
 class Climb:
     """What holds for all turns of a climb. kept: ids that no proposal removes; refused: names that
-    none adds."""
+    none adds; named: only names, steps and noise are proposed, which takes seconds."""
 
     kept: frozenset[str]
     refused: frozenset[str]
     budget: Budget
     made: Made
+    named: bool = False
 
 
 def climbed(c: Climb, model: Model, report: Report) -> Model:
@@ -149,6 +150,8 @@ def _next(c: Climb, model: Model) -> Model | None:
             break
         # (what failed alone is refused, until nothing new is promised)
         priors = replace(priors, refused=priors.refused | (end - own))
+    if c.named:
+        return None
     others = other_ways(model, r.worth, c.refused, c.kept)
     other = next((new for new in others if raises(model, new, r.worth)), None)
     if other is not None or c.budget.spent("laws that have no name"):

@@ -157,7 +157,7 @@ function show(said) {
   else { held = null; $("own").hidden = true; text("checks", ""); }
   text("doubts", (said.doubts || []).join(" "));
   if (said.parameters) { $("closing").hidden = false; $("bars").replaceChildren(...said.parameters.map(row)); }
-  if (said.so_far && said.so_far.length) text("sofar", `So far explain finds: ${said.so_far.join("; ")}.`);
+  if (said.so_far && said.so_far.length) text("sofar", `The readings so far are best explained by: ${said.so_far.join("; ")}.`);
   if (said.state === "working") {
     $("note").textContent = said.stage ? `Explaining: ${said.stage}` : "Explaining what was recorded";
     $("turn").hidden = false; $("stage").hidden = true; picture = null; held = null;
