@@ -30,6 +30,8 @@ T = TypeVar("T")
 SLOPES = 5e6
 # Innovations that are computed at a time (16 MB).
 PIECE = 2e6
+# Columns whose products with all before them are taken at once.
+BLOCK = 512
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,12 @@ def spread(
         (done.nu, done.log_likelihood) if beside is None else (beside.nu, beside.log_likelihood)
     )
     epoch = np.searchsorted(first, np.arange(len(done.S)), side="right") - 1
+    # (a column is zero until its epoch: in the order of these, those that have begun come first)
+    begun: IntArray = np.full(columns, len(place))
+    np.minimum.at(begun, place, np.arange(len(place))[:, None])
+    order = np.argsort(begun, kind="stable")
+    rank = np.argsort(order)
+    begun, place, scale = begun[order], rank[place], scale[order]
     work, known = _work(done, columns), 1 + len(b0)
     gram: Array = np.zeros((columns, known + columns))
     step = max(1, int(PIECE / max(columns, 1) * len(place) / max(len(done.S), 1)))
@@ -215,12 +223,16 @@ def spread(
         kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (a, b))
         # (a diverged pass may have negative variances; its sums mean nothing)
         weight = 1.0 / np.sqrt(np.abs(done.S[s]))[:, None]
-        # (a column is zero until its epoch)
-        begun = np.flatnonzero(nu.any(axis=0))
-        some = weight * nu[:, begun]
-        gram[begun, :known] += some.T @ (weight * there[s])
-        gram[np.ix_(begun, known + begun)] += some.T @ some
-    mixed, own = gram[:, :known], gram[:, known:]
+        count = int(np.searchsorted(begun, b))
+        some = weight * nu[:, :count]
+        gram[:count, :known] += some.T @ (weight * there[s])
+        # (the lower half)
+        for i in range(0, count, BLOCK):
+            j = min(i + BLOCK, count)
+            gram[i:j, known : known + j] += some[:, i:j].T @ some[:, :j]
+    gram = gram[rank]
+    mixed, own = gram[:, :known], gram[:, known:][:, rank]
+    own = np.where(np.less.outer(rank, rank), own.T, own)
     whole = np.block([[G0, mixed[:, 1:].T], [mixed[:, 1:], own]])
     reduction = done.reduction if beside is None else beside.reduction
     return Spread(_with(reduction, effects), (a0, np.r_[b0, -mixed[:, 0]], whole))

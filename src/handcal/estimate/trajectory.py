@@ -4,6 +4,7 @@ between them."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -31,10 +32,20 @@ class Trajectory:
     markov: Array
 
 
+# Longest epoch, s: the interval between looks at a held point.
+LONGEST = 1.0 / 3.0
+
+
 def epochs(problem: Problem) -> IntArray:
-    """Nodes at which something is observed, with the first and the last node."""
-    seen = np.diff(problem.nodes.first) > 0
+    """Nodes at which something is observed, with the first and the last node, and in between as
+    many that none of them is much longer than ``LONGEST``: within an epoch no noise is driven."""
+    seen, t = np.diff(problem.nodes.first) > 0, problem.nodes.t
     seen[[0, -1]] = True
+    at = np.flatnonzero(seen)
+    for a, b in pairwise(at):
+        many = round(float(t[b] - t[a]) / LONGEST)
+        if many > 1:
+            seen[np.searchsorted(t, np.linspace(t[a], t[b], many + 1)[1:-1])] = True
     return np.flatnonzero(seen)
 
 

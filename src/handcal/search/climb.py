@@ -152,11 +152,28 @@ def _next(c: Climb, model: Model) -> Model | None:
         priors = replace(priors, refused=priors.refused | (end - own))
     if c.named:
         return None
+    far = _from_afar(c, model, r)
+    if far is not None:
+        return far
     others = other_ways(model, r.worth, c.refused, c.kept)
     other = next((new for new in others if raises(model, new, r.worth)), None)
     if other is not None or c.budget.spent("laws that have no name"):
         return other
     return _with_law(c, model, r, priors, now)
+
+
+def _from_afar(c: Climb, model: Model, r: Response) -> Model | None:
+    """The better model selected about a fit with all names. (The likelihood of strong errors is no
+    quadratic: about a fit without them they promise less than they gain.)"""
+    rare = [e for e in r.effects if "@" not in e.id and e.id not in model.ids]
+    rare = [e for e in rare if name_of(e.id) not in c.refused]
+    whole = fitted(model.parts, [*model.effects, *rare])
+    if not whole.settled or not whole.log_evidence > model.log_evidence:
+        return None
+    there, priors = response(whole, r.worth), _priors(c, model)
+    now, best = select(there, priors, c.made.processes_in(there), whole.chosen)
+    new = _change(there, priors, now, best).of(whole, r.worth)
+    return new if raises(model, new, r.worth) else None
 
 
 def _gain(model: Model, look: Look, worth: float) -> float:
@@ -178,9 +195,12 @@ def _priors(c: Climb, model: Model) -> Priors:
 
 def _change(r: Response, priors: Priors, now: Choice, choice: Choice) -> Change:
     """What a choice changes of the present one, the surest first."""
-    lost = missed(r, priors, choice)
-    new = sorted(choice.ids - now.ids, key=lambda i: -lost[i])
-    return Change([choice.effects[i] for i in new], now.ids - choice.ids)
+    lost, before = missed(r, priors, choice), now.effects
+    there = choice.effects
+    # (noise at other levels is another process)
+    new = [i for i in there if i not in before or there[i][1] != before[i][1]]
+    new = sorted(new, key=lambda i: -lost[i])
+    return Change([there[i] for i in new], now.ids - (choice.ids - {*new}))
 
 
 def _fitted(model: Model, r: Response, change: Change | None) -> Model | frozenset[str]:
