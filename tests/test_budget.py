@@ -20,13 +20,13 @@ from worlds import recording_of
 
 import handcal.explain
 from handcal.commands._app import app
-from handcal.explain import explain
+from handcal.explain import Explanation, explain
 from handcal.interrupt import ENDING, asked
 from handcal.live import run
 from handcal.live.ending import Wanted
 from handcal.live.recorder import opened
 from handcal.live.session import Session
-from handcal.search.budget import AFTERWARDS, SO_FAR, Budget, after
+from handcal.search.budget import AFTERWARDS, SO_FAR, after
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
 from handcal.types import Recording
@@ -52,8 +52,13 @@ def recording() -> Recording:
     return recording_of(world, "heading")
 
 
-def test_without_time_nothing_is_claimed(recording: Recording) -> None:
-    found = explain([recording], budget=0.0)
+@pytest.fixture(scope="module")
+def hurried(recording: Recording) -> Explanation:
+    return explain([recording], budget=0.0)
+
+
+def test_without_time_nothing_is_claimed(hurried: Explanation) -> None:
+    found = hurried
     assert (found.verdict, found.unnamed) == ("cannot_tell", ())
     assert "further effects" in found.untried
     assert any("further effects" in w for w in found.warnings)
@@ -69,28 +74,6 @@ def test_with_enough_of_it_nothing_changes(recording: Recording) -> None:
     assert "untried" not in whole
     assert [m["effect"] for m in whole["missing"]] == ["gyro_quadratic"]
     assert json.dumps(whole) == json.dumps(explanation_json(explain([recording], budget=1e4)))
-
-
-def test_what_was_found_by_then_is_kept(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Time ends once an effect is in the model: it is named, and what comes after is not tried."""
-    chosen = Budget.spent
-
-    def spent(self: Budget, what: str) -> bool:
-        if what == "laws that have no name":
-            self.untried.append(what)
-            return True
-        return chosen(self, what)
-
-    monkeypatch.setattr(Budget, "spent", spent)
-    found = explain([recording])
-    assert [m.effect for m in found.missing] == ["gyro_quadratic"]
-    assert found.verdict == "cannot_tell"  # (whether a law is left nobody looked)
-    told = verdict(found)
-    assert told.headline.startswith("The search ended before")
-    assert told.sentences[0].startswith("Found: the gyro quadratic")
-    assert "laws that have no name" in found.untried
 
 
 def test_the_search_leaves_time_for_what_follows_it() -> None:
@@ -113,6 +96,10 @@ def test_whoever_stops_has_what_was_found_by_then(recording: Recording) -> None:
         progress=lambda _, stage: stages.append(stage),
     )
     assert [m.effect for m in found.missing] == ["gyro_quadratic"]
+    assert found.verdict == "cannot_tell"  # (whether a law is left, was not looked for)
+    told = verdict(found)
+    assert told.headline.startswith("The search ended before")
+    assert told.sentences[0].startswith("Found: the gyro quadratic")
     assert "laws that have no name" in found.untried
     assert f"searching what is missing{SO_FAR}gyro_quadratic" in stages
 
@@ -158,9 +145,9 @@ def test_an_interrupt_ends_the_command_with_the_best_so_far(
     assert "further effects" in document["untried"]
 
 
-def test_what_was_not_weighed_has_no_probability(recording: Recording) -> None:
+def test_what_was_not_weighed_has_no_probability(hurried: Explanation) -> None:
     """In the terminal it has a dash; JSON said 0.0 of an effect that is there."""
-    document = explanation_json(explain([recording], budget=0.0))
+    document = explanation_json(hurried)
     named = {m["effect"] for m in document["missing"]}
     named |= {i for m in document["missing"] for i in m["indistinguishable_from"]}
     left = {h["probability"] for h in document["hypotheses"] if h["effect"] not in named}

@@ -91,6 +91,7 @@ def test_nothing_is_missing(seed: int) -> None:
     assert all(h.verdict == "" and h.probability < 0.5 for h in found.hypotheses)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("effect", "values", "channels"),
     [
@@ -125,6 +126,7 @@ def test_one_effect_is_named_and_measured(
     assert total[-1] > 0.5 * missing.log_evidence_gain
 
 
+@pytest.mark.prove
 def test_a_walking_bias() -> None:
     found = explained(world_of({"gyro_bias_walk": [5e-3]}, seconds=20.0))
     (density,) = only(found, "gyro_bias_walk").parameters
@@ -133,6 +135,7 @@ def test_a_walking_bias() -> None:
     assert density.sigma < 0.5 * density.value
 
 
+@pytest.mark.prove
 def test_headings_that_point_anywhere() -> None:
     """The share that was drawn: 0.15 of 301, whatever their own binomial says."""
     found = explained(world_of({"heading_outliers": [0.15]}))
@@ -146,6 +149,7 @@ def test_headings_that_point_anywhere() -> None:
     assert abs(share.value - 0.15) < 4.0 * math.hypot(share.sigma, math.sqrt(0.15 * 0.85 / 301))
 
 
+@pytest.mark.prove
 def test_physics_that_nobody_named_is_found_as_a_formula() -> None:
     """The accelerometer feels turning times force: rms 0.15 m/s^2, as the true motion has it."""
     world = world_of({}, seconds=40.0)
@@ -176,6 +180,7 @@ def together(two: list[World]) -> Explanation:
     return explain([recording_of(w, "heading") for w in two])
 
 
+@pytest.mark.prove
 def test_two_recordings_share_the_effect_and_keep_their_biases(
     two: list[World], together: Explanation
 ) -> None:
@@ -195,6 +200,7 @@ def test_two_recordings_share_the_effect_and_keep_their_biases(
         assert p.sigma < q.sigma
 
 
+@pytest.mark.prove
 def test_json_of_two_recordings_has_shared_parameters_apart(together: Explanation) -> None:
     document = explanation_json(together)
     schemas.check(document)
@@ -204,6 +210,7 @@ def test_json_of_two_recordings_has_shared_parameters_apart(together: Explanatio
     assert len(document["recordings"]) == 2
 
 
+@pytest.mark.prove
 def test_another_recording_is_predicted_better_with_what_was_found(two: list[World]) -> None:
     """The second, of the same device; and no better where nothing was found."""
     scored = [recording_of(two[1], "heading")]
@@ -224,6 +231,7 @@ def test_another_recording_is_predicted_better_with_what_was_found(two: list[Wor
 # --- readings that are none --------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_saturated_readings_are_no_evidence() -> None:
     """A gyro that clips at four fifths of the fastest turn: some forty readings, in which the
     device turns on unmeasured."""
@@ -388,6 +396,7 @@ def test_help_explains(main: Callable) -> None:
 # --- options -----------------------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_stream_can_be_ignored() -> None:
     """Without the heading, what only the heading shows is not on trial."""
     recording = recording_of(world_of({"heading_delay": [0.2]}), "heading")
@@ -396,6 +405,7 @@ def test_a_stream_can_be_ignored() -> None:
     assert not {h.effect for h in found.hypotheses if h.effect.startswith("heading")}
 
 
+@pytest.mark.prove
 def test_readings_too_few_to_say_anything(two: list[World]) -> None:
     """A stream of a few headings is left out with a word, as ``calibrate`` does."""
     recording = recording_of(two[0], "heading")

@@ -35,6 +35,7 @@ def test_an_effect_is_found_in_an_arm_that_tires(seed: int) -> None:
         assert abs(p.value - wanted) < 4.0 * p.sigma
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
 def test_a_device_carried_about_is_judged_by_its_rests(seed: int) -> None:
     """As a held point it would sway by a quarter of a metre, and a walk, a scale or a formula was

@@ -370,6 +370,7 @@ def held(seed: int, seconds: float, error: Callable[[Imu], Array]) -> Recording:
     return replace(recording, imu=read)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("seed", "seconds"),
     [(0, 40.0), *(pytest.param(k, 40.0, marks=pytest.mark.prove) for k in range(1, 3))],
@@ -489,6 +490,7 @@ def size_alone() -> tuple[Model, Effect]:
     return base, law_effect.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
 
 
+@pytest.mark.prove
 def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     """Each of them alone may gain something beside the others; the law needs none."""
     base, law = size_alone
@@ -497,6 +499,7 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     assert climbed_from(many, base.ids).ids == (*base.ids, law.id)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("name", "size"), [("omega_{j} * f_{k}", 2e-3), ("f_{i} * t", 3e-5)])
 def test_the_best_law_of_a_long_recording_is_the_one_that_is_there(name: str, size: float) -> None:
     """A first part decided what is asked about it, and does not show what is slow."""
@@ -534,6 +537,7 @@ def test_a_rise_is_told_with_its_place_and_its_width(place: float, width: float)
     assert rise.form.numbers == pytest.approx((place, width), rel=0.25, abs=0.03)
 
 
+@pytest.mark.prove
 def test_a_law_comes_with_the_name_that_it_needs() -> None:
     """A gain that drifts is a product with the time and a scale error. Noise that goes with the
     motion holds both, and no half of it alone is worth as much."""
@@ -545,6 +549,7 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
 
 
+@pytest.mark.prove
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     """Far from where it is large, a scan likes to give some of it to the other axes."""
     base = baseline([case_of(strange("gyro", friction))])

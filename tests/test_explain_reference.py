@@ -173,6 +173,7 @@ def test_noise_of_a_faster_reference_sets_no_clock(seed: int) -> None:
     assert abs(parameter.value - 100.0) < 4.0 * parameter.sigma
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
 def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
     """Slow turns: of the angular acceleration a tenth was noise, and an arm 14 sigma off."""

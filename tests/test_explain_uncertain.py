@@ -154,6 +154,7 @@ def test_a_warning_has_the_sigmas_of_the_table() -> None:
     assert wider == pytest.approx(2.0 * plain, rel=0.05)  # (two digits)
 
 
+@pytest.mark.prove
 def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> None:
     """Terminal and JSON have the sensor's rate (exports take densities to samples by it), not that
     of the means that were fitted: they had half of it."""

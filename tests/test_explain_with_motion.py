@@ -87,6 +87,7 @@ def rings(seed: int, size: float) -> Recording:
     return replace(recording, imu=replace(imu, gyro=imu.gyro + added))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2, 3))]
 )

@@ -199,6 +199,7 @@ def test_bursts_and_a_gap_cost_a_calibration_nothing(cases, name):
             assert abs(p.value - true) < 4 * p.sigma, (effect, axis)
 
 
+@pytest.mark.prove
 def test_a_fit_that_leaves_metres_names_nothing(cases):
     recording = load(cases / "gyro_half.csv", units={"gyro": "rad/s"})
     found = handcal.explain(recording, budget=5.0)

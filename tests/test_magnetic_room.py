@@ -82,6 +82,7 @@ def plain() -> Recording:
 # --- what explain finds ---------------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_step_is_found_and_can_be_written_down() -> None:
     """In twenty seconds; a model read again holds the step at the same moment."""
     found = explain([recording_of(world_of({"mag_step": STEP}, 0, 20.0), "mag")])

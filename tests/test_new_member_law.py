@@ -232,6 +232,7 @@ def test_twin_reads_it(plain, concealed, effect):
     assert left[1] < 0.05
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "effect",
     [pytest.param(f, marks=pytest.mark.prove) if f != "heading_tilt" else f for f in FILES],

@@ -272,6 +272,7 @@ def test_nothing_is_computed_where_nothing_needs_telling(
     assert asked
 
 
+@pytest.mark.prove
 def test_explain_says_it() -> None:
     """The whole way: one turn about the vertical leaves most of the physics unseen."""
     from handcal.explain import explain

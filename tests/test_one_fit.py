@@ -86,6 +86,7 @@ def test_calibrate_repeats_what_explain_ended_with(name: str) -> None:
     check_equal([handcal.load(SEALED / f"{name}.mcap")])
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "effects",
     [
@@ -139,6 +140,7 @@ def test_recordings_of_a_device_tell_its_effects_together() -> None:
     assert all({p["effect"] for p in r["parameters"]} == set(OWN) for r in document["recordings"])
 
 
+@pytest.mark.prove
 def test_the_effects_of_a_model_are_calibrated_from_another_recording() -> None:
     """What happened at one moment of the first is no part of that, but of its own repetition."""
     effects = {"gyro_scale": [0.012, -0.01, 0.009], "gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}
@@ -221,6 +223,7 @@ def test_so_on_real_devices(name: str, real_recordings: Path) -> None:
     assert max(found.values()) < 0.0
 
 
+@pytest.mark.prove
 def test_a_fit_that_goes_there_and_back_takes_shorter_steps(real_recordings: Path) -> None:
     """About a phone that is swung, whose arm and delay are not in the model, whole steps went to
     and fro, and evidence with them, by 165 nats."""

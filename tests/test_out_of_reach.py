@@ -23,6 +23,7 @@ def turned(sticks: float):
     return replace(recording, imu=replace(recording.imu, accel=force + wrong))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("sticks", "doubts"), [(0.0, 0), (STICKS, 1)])
 def test_what_would_have_the_hand_sway_by_metres_is_doubted(sticks, doubts, monkeypatch):
     """Of a search that finds nothing."""

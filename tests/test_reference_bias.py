@@ -357,6 +357,7 @@ def test_where_the_reference_rested_its_bias_is_offered() -> None:
     assert not any("--reference-exact" in w for w in result.warnings)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("exact", [False, True])
 def test_explain_has_the_same_biases(exact: bool) -> None:
     """And nothing is missing but what each sensor may have."""
