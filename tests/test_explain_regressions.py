@@ -236,6 +236,7 @@ def smoothed(request: pytest.FixtureRequest) -> Recording:
     return recording_of(world, "heading", "pose")
 
 
+@pytest.mark.prove
 def test_a_filter_beside_delays_is_not_backwards_in_time(smoothed: Recording) -> None:
     found = calibrate(smoothed, ["gyro_bandwidth", "accel_delay", "pose_delay"])
     tau = next(p for p in found.parameters if p.name == "tau")
@@ -477,6 +478,7 @@ def test_an_error_of_one_axis_has_its_name(effect: dict[str, list[float]]) -> No
     assert found.unnamed == ()
 
 
+@pytest.mark.prove
 def test_where_no_model_fits_the_recording_is_refused() -> None:
     """A gyro that reads 40 deg/s too much, and no rest: the search found nothing to fit, and
     writing its model down ended in a traceback (seen on a drawn ordinary device)."""

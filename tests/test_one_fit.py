@@ -198,6 +198,7 @@ def drops(recording: Recording) -> dict[str, float]:
     return out
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in range(1, 12))]
 )

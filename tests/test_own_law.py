@@ -23,6 +23,8 @@ from handcal_sim.strangers import scene_of
 ROOT = Path(__file__).resolve().parents[1]
 KIND, DEVICE, LENGTH_S, OWN = "gyro_rate_force", 0, 30.0, "gyro_under_force"
 
+pytestmark = pytest.mark.prove
+
 
 def run(*arguments, fails=False):
     done = CliRunner().invoke(_app.app, [str(a) for a in arguments])
@@ -81,7 +83,6 @@ def explained(told):
     return json.loads((folder / "second.json").read_text())
 
 
-@pytest.mark.prove
 def test_explain_names_it(told, explained):
     assert explained["verdict"] == "explained"
     assert [m["effect"] for m in explained["missing"]] == [OWN]
@@ -112,7 +113,6 @@ def test_calibrate_knows_it_and_repeats_it(told):
     assert f"Unknown effect '{OWN}'" in run(*given, "--effects", OWN, fails=True).stderr
 
 
-@pytest.mark.prove
 def test_beside_all_that_a_device_has_it_is_found_as_well_as_is_said(told, explained):
     """Sigmas are wider, as they have to be; what was explained alone is as above."""
     _, strange = told
@@ -134,7 +134,6 @@ def test_apply_takes_it_off(told):
     assert rms(left[:, column(strange)]) < 0.05 * rms(strange.error)
 
 
-@pytest.mark.prove
 def test_apply_takes_off_what_was_explained_as_well_as_it_is_known(told, explained):
     """Of the law no more is left than its own sigma allows."""
     folder, strange = told
@@ -157,7 +156,6 @@ def test_conceal_puts_it_in(told):
     assert rms(np.delete(found, column(strange), axis=1)) == 0.0
 
 
-@pytest.mark.prove
 def test_the_twin_reads_it(told, explained):
     """Next to nothing of the gyro is left of what the model without the law cannot have read."""
     folder, _ = told

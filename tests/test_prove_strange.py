@@ -504,6 +504,7 @@ def test_a_trial_is_worked_out_scored_and_shown():
     assert world.streams["heading"].values.shape[1] == 1
 
 
+@pytest.mark.prove
 def test_told_the_law_itself_calibrate_leaves_what_the_noise_does(tmp_path):
     """A small part, and not nothing: not more than everything, nor that of a wrong size."""
     for number in range(len(LAWS)):
