@@ -245,6 +245,7 @@ def ordinary(**more):
     return simulate("free-hand", seed=4, duration_s=40.0, phone=phone)
 
 
+@pytest.mark.prove
 def test_found_again_beside_a_heading():
     effects = {
         "gyro_scale": [0.01, -0.02, 0.005],
@@ -266,6 +267,7 @@ def test_found_again_beside_a_pose():
     assert_found(recording, effects)
 
 
+@pytest.mark.prove
 def test_found_again_in_a_magnetometer():
     rng = np.random.default_rng(1)
     recording = recording_of(ordinary(heading=None, mag=consumer_magnetometer(rng)), "mag")

@@ -53,6 +53,7 @@ def biases(world: World) -> Array:
 # --- an ordinary device -------------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_biases_are_as_far_off_as_is_said_and_without_the_rest_they_are_not() -> None:
     """In a turn about the vertical, where gravity hides what else there is. Eighteen errors of a
     normal density lie within three sigma of each with a probability of 0.95."""
@@ -256,6 +257,7 @@ def far_off(result: Result) -> Array:
     return np.array([(p.value - true) / p.sigma for p, true in zip(own, FAR, strict=True)])
 
 
+@pytest.mark.prove
 def test_a_strong_error_is_found_in_a_short_motion() -> None:
     """Twenty times the usual scale error, in twelve seconds."""
     world = simulate("three-turns", seed=0, duration_s=12.0, effects={"gyro_scale": FAR})

@@ -121,7 +121,7 @@ def test_the_online_filter_too(recording: Recording) -> None:
         np.testing.assert_array_equal(getattr(short, name), getattr(whole, name))
 
 
-@pytest.mark.parametrize("only", [True, False], ids=["only", "all"])
+@pytest.mark.parametrize("only", [True, pytest.param(False, marks=pytest.mark.prove)])
 def test_the_same_calibration(
     recording: Recording, only: bool, request: pytest.FixtureRequest
 ) -> None:

@@ -39,6 +39,7 @@ def biases(result):
     return tuple(np.array([getattr(p, of) for p in mine]) for of in ("value", "sigma", "shown"))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", range(3))
 def test_biases_that_drift_are_not_read_as_a_tilt(seed):
     """A walk that no state followed made 60 to 650 mg of accelerometer bias, +- 11 mg."""
