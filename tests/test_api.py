@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fake_explanation import fake_explanation
 from fake_result import fake_result
+from test_explain import slow
 from worlds import recording_of
 
 import handcal as hc
@@ -30,7 +31,9 @@ SCREEN = 40 * 120
 
 @pytest.fixture(scope="module")
 def recording() -> types.Recording:
-    world = simulate("free-hand", seed=0, duration_s=20.0, effects={"gyro_scale": [0.02, 0, 0]})
+    world = simulate(
+        "free-hand", seed=0, duration_s=20.0, phone=slow, effects={"gyro_scale": [0.02, 0, 0]}
+    )
     return recording_of(world, "heading")
 
 

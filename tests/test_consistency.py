@@ -105,6 +105,7 @@ def test_the_filter_is_consistent_in_its_own_world(scenario: str) -> None:
     _model_world(scenario, 24)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "scenario", [pytest.param("z-turn", marks=pytest.mark.prove), "three-turns"]
 )

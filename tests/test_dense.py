@@ -71,6 +71,7 @@ def test_biases_are_as_far_off_as_is_said_and_without_the_rest_they_are_not() ->
     assert max(off[True]) > 5.0
 
 
+@pytest.mark.prove
 def test_what_is_asked_for_alone_is_said_to_be_alone(tmp_path: Path) -> None:
     """By the function and by the command; without it nothing is said, and all is estimated."""
     recording = recording_of(simulate("three-turns", seed=0, duration_s=12.0), "heading")
@@ -138,7 +139,10 @@ def with_magnetometer(rng: np.random.Generator) -> Phone:
     return replace(consumer_phone(rng), mag=consumer_magnetometer(rng))
 
 
-@pytest.mark.parametrize(("stream", "seed"), [("heading", 0), ("heading", 1), ("mag", 2)])
+@pytest.mark.parametrize(
+    ("stream", "seed"),
+    [("heading", 0), pytest.param("heading", 1, marks=pytest.mark.prove), ("mag", 2)],
+)
 def test_likelihood_and_prior_are_the_posterior(stream: str, seed: int) -> None:
     """Also where the recording has constants of its own (the strengths of the field)."""
     scale = {"gyro_scale": [0.01, -0.008, 0.006]}

@@ -667,7 +667,7 @@ def with_reference(rng):
 
 def good_heading(rng):
     """A heading of half a degree (a camera's), so that a short recording tells enough."""
-    phone = consumer_phone(rng)
+    phone = with_rate(consumer_phone(rng), 50.0)
     clocking = Clocking(50.0, phone.heading.clocking.phase_s)
     return replace(
         phone, heading=replace(phone.heading, sigma=math.radians(0.5), clocking=clocking)
@@ -941,6 +941,7 @@ def noisy_world(seed, effects, seconds=84.0):
     return world, recording_of(world, "heading")
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "truth", "factors"), NOISE_TRIALS)
 def test_noise_that_the_simulator_injects_comes_back(name, truth, factors, seed):

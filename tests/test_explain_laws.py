@@ -145,7 +145,7 @@ def as_far_as_it_goes(
     return model, effect
 
 
-@pytest.mark.parametrize("begun", [0.0, -0.05])
+@pytest.mark.parametrize("begun", [0.0, pytest.param(-0.05, marks=pytest.mark.prove)])
 def test_a_place_at_zero_is_adjusted(begun: float) -> None:
     """In proportion to itself it would stay there."""
     true = (0.6, 1.0)
@@ -411,7 +411,10 @@ def test_a_course_is_chosen_again_beside_what_came_after_it(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "begun", "true"),
-    [("while", (9.6, 21.4), (9.37, 21.64)), ("switched", (11.1, 2.3, 4.2), (10.83, 2.51, 3.97))],
+    [
+        ("while", (9.6, 21.4), (9.37, 21.64)),
+        pytest.param("switched", (11.1, 2.3, 4.2), (10.83, 2.51, 3.97), marks=pytest.mark.prove),
+    ],
 )
 # (a heading of 5 deg of noise on the wrong side of an edge of 0.3 rad)
 @pytest.mark.parametrize(
@@ -561,6 +564,7 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     assert (law.sensor, law.axes) == (0, (2,))
 
 
+@pytest.mark.prove
 def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:
     base, straight = size_alone
     over = Range(0.0, 4.0, 4.0)

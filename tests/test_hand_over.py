@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_explain import slow
 from typer.testing import CliRunner
 from worlds import recording_of
 
@@ -75,7 +76,7 @@ def document(*laws, shown=True):
 
 @pytest.fixture(scope="module")
 def turns():
-    return recording_of(simulate("free-hand", seed=0, duration_s=20.0), "heading")
+    return recording_of(simulate("free-hand", seed=0, duration_s=20.0, phone=slow), "heading")
 
 
 @pytest.fixture(scope="module")

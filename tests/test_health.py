@@ -44,7 +44,7 @@ def test_nothing_is_said_of_a_sound_recording(shown):
     assert read(*shown).warnings == ()
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 4.0])
+@pytest.mark.parametrize("factor", [0.5, 4.0])
 def test_another_full_scale_of_the_gyro_is_said_and_nothing_is_estimated(shown, factor):
     t, values, _ = shown
     spoilt = read(t, values * ([factor] * 3 + [1.0] * 3))
@@ -61,7 +61,7 @@ def test_a_wrong_sample_rate_is_said_likewise(shown, factor):
     assert "sample rate" in read(factor * t, values).unfit
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.25, 2.0])
 def test_another_full_scale_of_the_accelerometer_is_said(shown, factor):
     t, values, _ = shown
     assert f"--units accel=m/s^2/{factor:g}" in read(t, values * ([1] * 3 + [factor] * 3)).unfit
@@ -72,7 +72,7 @@ def test_a_usual_scale_error_is_none(shown):
     assert read(t, values * ([1.06] * 3 + [0.97] * 3)).warnings == ()
 
 
-@pytest.mark.parametrize("k", range(1, 48, 16))
+@pytest.mark.parametrize("k", [1, 33])
 def test_a_magnetometer_on_other_axes_is_turned_and_that_is_said(shown, k):
     t, values, (tm, mag) = shown
     A = SIGNED[k]

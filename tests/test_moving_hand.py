@@ -10,10 +10,9 @@ import pytest
 from scipy.linalg import expm
 from worlds import recording_of
 
-from handcal.effects import select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of, creeping
-from handcal.estimate.fit import diverged, fitted
+from handcal.estimate.fit import diverged
 from handcal.estimate.hand_sway import sway_of
 from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, Specification, document_of, seen, view_of
@@ -214,13 +213,3 @@ def test_where_no_trajectory_holds_the_point_the_hand_drifts(
     found = drifting_point.begun([case])
     assert math.isfinite(found.log_evidence)
     assert found.parts[0].case.creeping
-
-
-def test_a_hand_that_has_no_fit_takes_no_ones_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its fit has no recordings of which to say how far the point sways."""
-    world = simulate("free-hand", seed=0, duration_s=20.0)
-    base = baseline([case_of(recording_of(world, "heading"), "fixed-point")])
-    (late,) = select(["accel_delay"])
-    model = fitted(base.parts, [*base.effects, late])
-    monkeypatch.setattr(drifting_point, "_fit", lambda _, effects: diverged((), effects))
-    assert drifting_point.moving(base, model, {late.id: 10.0}) is None

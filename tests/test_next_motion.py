@@ -258,20 +258,6 @@ def test_without_a_thermometer_nobody_is_told_to_warm_it(one_way: Found) -> None
     assert not any(m.warming for m in found)
 
 
-def test_nothing_is_computed_where_nothing_needs_telling(
-    one_way: Found, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-    monkeypatch.setattr(next_motion, "_informations", lambda *a: asked.append(a) or {})
-    hidden = [Hypothesis("gyro_quadratic", "", 0.0, 0.0, 0.1, 0.0, "")]
-    seen = [replace(hidden[0], expected=50.0)]
-    assert next_motions(one_way, [_set("gyro_scale")], hidden, "explained") == ()
-    assert next_motions(one_way, [], seen, "nothing_missing") == ()
-    assert not asked
-    next_motions(one_way, [], hidden, "nothing_missing")
-    assert asked
-
-
 @pytest.mark.prove
 def test_explain_says_it() -> None:
     """The whole way: one turn about the vertical leaves most of the physics unseen."""

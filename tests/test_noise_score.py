@@ -146,6 +146,7 @@ def test_looks_are_the_same_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None
     ]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "number", [7, *(pytest.param(k, marks=pytest.mark.prove) for k in range(7))]
 )

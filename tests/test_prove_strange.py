@@ -207,6 +207,7 @@ def test_only_the_declared_channels_err(monkeypatch):
         assert erring == {one.strange.channel for one in added}
 
 
+@pytest.mark.prove
 def test_laws_come_in_turn_beside_up_to_two_effects():
     counts, kinds, sensors, first = set(), [], [], set()
     for number in range(14):
@@ -372,7 +373,10 @@ def test_a_heading_is_counted_from_where_an_explanation_has_north():
     assert left_share(added, case.world, one) < 0.02
 
 
-@pytest.mark.parametrize("channel", ["gyro_y", "accel_z", "heading"])
+@pytest.mark.parametrize(
+    "channel",
+    ["gyro_y", *(pytest.param(k, marks=pytest.mark.prove) for k in ("accel_z", "heading"))],
+)
 def test_what_a_formula_adds_is_known_here(world, scene, channel):
     """Of each driver, in the words of its formula: only the law itself is not the same."""
     signals = Signals(

@@ -248,6 +248,7 @@ def test_both_halves_of_the_shaking_agree(name: str, real_recordings: Path) -> N
     assert np.abs(normed).max() < 4.0
 
 
+@pytest.mark.prove
 def test_so_many_poses_tell_as_much_of_the_sensors_as_25_a_second(
     real_recordings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

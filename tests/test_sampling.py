@@ -97,6 +97,7 @@ def test_each_sensor_is_judged_by_its_own_readings() -> None:
     assert of(np.zeros((50, 3)), sine[:50])[0] == 0.0
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2))])
 def test_a_hand_that_shakes_is_no_slow_gyro(seed: int) -> None:
     """What the integral lost was told as a low-pass and two delays that there were not, by 10 and 3

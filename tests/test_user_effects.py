@@ -595,6 +595,7 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(name, said, tmp_p
     assert (tmp_path / "there.py").read_text() == "mine"
 
 
+@pytest.mark.prove
 def test_the_processes_of_a_trial_have_the_folder_too(tmp_path):
     world = simulate("z-turn", seed=0, duration_s=8.0)
     write(world, tmp_path / "a.mcap", truth=False)
