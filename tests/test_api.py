@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from fake_explanation import fake_explanation
 from fake_result import fake_result
-from test_explain import slow
 from worlds import recording_of
 
 import handcal as hc
@@ -31,9 +30,7 @@ SCREEN = 40 * 120
 
 @pytest.fixture(scope="module")
 def recording() -> types.Recording:
-    world = simulate(
-        "free-hand", seed=0, duration_s=20.0, phone=slow, effects={"gyro_scale": [0.02, 0, 0]}
-    )
+    world = simulate("free-hand", seed=0, duration_s=20.0, effects={"gyro_scale": [0.02, 0, 0]})
     return recording_of(world, "heading")
 
 
@@ -291,6 +288,7 @@ def test_options_are_named_in_signatures() -> None:
     assert "budget" in said
 
 
+@pytest.mark.prove
 def test_a_device_is_simulated_and_swept_as_the_commands_do(tmp_path: Path) -> None:
     asked = {"seed": 3, "effects": {"gyro_scale": [0.01, 0, 0]}, "duration_s": 12.0, "mag": True}
     made = hc.simulate("free-hand", **asked)

@@ -120,6 +120,7 @@ def test_what_is_given_the_model_is_the_conditional_density() -> None:
     np.testing.assert_allclose(as_before, np.sqrt(np.diag(covariance)))
 
 
+@pytest.mark.prove
 def test_given_nothing_else_biases_are_those_of_a_fit_without() -> None:
     """Of a device without further errors; the two fits find their own noise levels."""
     recording = recording_of(simulate("free-hand", seed=0, duration_s=30.0), "heading")

@@ -258,7 +258,9 @@ def test_rivals_are_compared_in_one_place() -> None:
 # --- how much is to be expected ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("chosen", [(), ("b",), ("b", "c")])
+@pytest.mark.parametrize(
+    "chosen", [("b",), *(pytest.param(k, marks=pytest.mark.prove) for k in ((), ("b", "c")))]
+)
 def test_expected_gain_is_the_mean_gain(chosen: tuple[str, ...]) -> None:
     """Over the noise, and over effects in the model of which only the prior is known; 4 sigma
     of the mean of 4000."""

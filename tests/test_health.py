@@ -26,7 +26,9 @@ def with_mag(rng):
     return replace(consumer_phone(rng), heading=None, mag=consumer_magnetometer(rng))
 
 
-@pytest.fixture(scope="module", params=["free-hand", "six sides"])
+@pytest.fixture(
+    scope="module", params=["free-hand", pytest.param("six sides", marks=pytest.mark.prove)]
+)
 def shown(request):
     """Stamps, rates and forces, and a magnetometer, in a motion that shows all of them."""
     motion = {"six sides": six_sides}.get(request.param, request.param)

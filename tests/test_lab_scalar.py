@@ -371,6 +371,7 @@ def test_a_misfit_of_rests_names_what_would_leave_less(table):
     assert "--effects accel_scale,accel_misalignment,gyro_scale,gyro_misalignment,accel_asy" in said
 
 
+@pytest.mark.prove
 def test_info_and_lab_scalar_agree_about_ten_rests(cases, monkeypatch, capsys):
     path = cases / "ten_rests_real.csv"
     status, _, refusal = command(monkeypatch, capsys, "lab", "scalar", path)
@@ -456,6 +457,7 @@ def test_paper_001_floor_is_there_and_goes():
     assert max(left.angle, left.scale, left.bias) < 1e-9
 
 
+@pytest.mark.prove
 def test_paper_001_own_nine_poses_beat_table_2_on_the_same_draws():
     """N = 50 draws at 600 arcsec; handcal's estimate needs no angle, the paper's does."""
     nine = paper_001.gimbals_of(paper_001.own_poses(9))

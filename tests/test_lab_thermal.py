@@ -220,6 +220,7 @@ def test_files_are_put_together() -> None:
         thermal(parts[:1])
 
 
+@pytest.mark.prove
 def test_sensors_that_lag_behind_the_thermometer_are_noticed() -> None:
     device = Device()
     ups = np.tile(sides(1), (80, 1))
@@ -327,6 +328,7 @@ def test_evidence_is_that_of_the_normal_distribution() -> None:
     assert value >= log_evidence(rows, best * 1.2) - 1e-9
 
 
+@pytest.mark.prove
 def test_a_soak_of_the_simulator_gives_its_slopes_back(tmp_path: Path) -> None:
     file = tmp_path / "soak.mcap"
     slopes = {"gyro": (2e-4, -1e-4, 5e-5), "accel": (0.002, -0.001, 0.003)}

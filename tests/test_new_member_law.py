@@ -127,7 +127,7 @@ def members(tmp_path_factory):
 @pytest.fixture(scope="module")
 def world():
     return simulate(
-        "free-hand", seed=0, duration_s=20.0, phone=consumer_phone(np.random.default_rng(0))
+        "free-hand", seed=0, duration_s=30.0, phone=consumer_phone(np.random.default_rng(0))
     )
 
 

@@ -373,6 +373,7 @@ def test_a_heading_is_counted_from_where_an_explanation_has_north():
     assert left_share(added, case.world, one) < 0.02
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "channel",
     ["gyro_y", *(pytest.param(k, marks=pytest.mark.prove) for k in ("accel_z", "heading"))],

@@ -142,6 +142,7 @@ def test_a_bias_is_as_uncertain_as_the_reference_leaves_it(seed: int) -> None:
     assert np.all(sigma(True, False)[:3] < 0.02 * GYRO)
 
 
+@pytest.mark.prove
 def test_what_is_no_bias_is_as_well_known_as_before() -> None:
     """Scales beside a reference without bias: whether that is known or not."""
     made = device(0, False, biased=False)

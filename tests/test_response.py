@@ -112,6 +112,7 @@ def test_its_evidence_is_worth_what_a_scan_of_all_names_says(model: Model) -> No
     assert response(model).worth == pytest.approx(scan(model, response(model).effects).worth)
 
 
+@pytest.mark.prove
 def test_noise_is_what_a_look_of_the_filter_says(some: tuple[Model, Response]) -> None:
     model, matrix = some
     without, plain = _evidence(matrix, model), _filtered(model)

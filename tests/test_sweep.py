@@ -101,6 +101,7 @@ def errors_z(cell, seeds):
     return found[names[0]][:, Z], found[names[1]][:, Z], chunk.bound[Z]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("sigma", "settle", "seeds"), [(5.0, False, 24), (60.0, True, 10)])
 def test_gyro_z_errs_as_much_as_its_sigma_says(sigma, settle, seeds):
     cell = matched(sigma, start_heading_deg=1.0, draw_start=True, settle=settle)

@@ -202,14 +202,14 @@ def test_commands_say_what_they_run_and_end_with_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("late", LATER)
-@pytest.mark.parametrize("command", ["conceal", "calibrate", "explain"])
+@pytest.mark.parametrize("command", ["conceal", "calibrate"])
 def test_what_goes_wrong_with_a_recording_is_said(late, command, tmp_path):
     body = LATE.format(late=late)
     code = GOOD.replace("    return p[0] * np.hstack([signals.gyro, signals.accel])\n", body)
     folder, recording = folder_with(tmp_path / "own", a=code), tmp_path / "a.mcap"
     write(simulate("z-turn", seed=0, duration_s=3.0), recording)
     options = {"conceal": ["--effect", "own_law=0.01", "-o", str(tmp_path / "b.mcap")],
-               "calibrate": ["--effects", "own_law"], "explain": []}[command]  # fmt: skip
+               "calibrate": ["--effects", "own_law"]}[command]  # fmt: skip
     given = [command, str(recording), *options, "--effects-from", str(folder)]
     done = CliRunner().invoke(_app.app, given)
     assert done.exit_code == 2
