@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from proved import proved
 
 from handcal.compiled import disk_cache
 from handcal_sim import simulate, write
@@ -89,9 +90,7 @@ print(njit(one.twice)(2), flush=True)
 
 
 @pytest.mark.skipif(disk_cache.fcntl is None, reason="no locks that end with a process")
-@pytest.mark.parametrize(
-    "killed", [True, *(pytest.param(k, marks=pytest.mark.prove) for k in (False,))]
-)
+@pytest.mark.parametrize("killed", [True, *proved(False)])
 def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed: bool) -> None:
     (tmp_path / "one.py").write_text("def twice(x):\n    return x + x\n")
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

@@ -9,6 +9,7 @@ import allantools
 import numpy as np
 import pytest
 from lab_world import command as typed
+from proved import proved
 
 import handcal
 from handcal.allan import analysis, overlapping, terms
@@ -257,7 +258,7 @@ def test_more_than_a_tenth_lost_is_not_made_up():
         analysis.analyse(without(recording(0), 0.15))
 
 
-@pytest.mark.parametrize("sensor", ["gyro", pytest.param("accel", marks=pytest.mark.prove)])
+@pytest.mark.parametrize("sensor", ["gyro", *proved("accel")])
 def test_one_sensor_alone_is_analysed_and_refused_elsewhere(sensor, tmp_path, capsys, monkeypatch):
     whole = recording(0)
     value = getattr(whole.imu, sensor)

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from proved import proved
 from worlds import recording_of, true_levels
 
 from handcal import calibrate
@@ -81,7 +82,7 @@ def auto(name, seed, **more):
     ("name", "seed"),
     [
         ("z-turn", 0),
-        *(pytest.param(*k, marks=pytest.mark.prove) for k in (("three-turns", 0), ("z-turn", 1))),
+        *proved(("three-turns", 0), ("z-turn", 1)),
     ],
 )
 def test_turns_in_the_hand_are_taken_to_be_about_a_fixed_point(name, seed):
@@ -231,7 +232,7 @@ def compass(iron, seed=0):
     return recording_of(world, "mag"), true_levels(world)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1,))])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_clean_magnetometer_is_used(seed):
     recording, noise = compass([0.0, 0.0, 0.0], seed)
     result = calibrate(recording, assume="fixed-point", noise=noise)
@@ -244,7 +245,7 @@ def test_a_clean_magnetometer_is_used(seed):
     "iron",
     [
         [0.0, 1e-4, -5e-5],
-        *(pytest.param(k, marks=pytest.mark.prove) for k in ([5e-5, 0.0, 0.0], [3e-4, 3e-4, 0.0])),
+        *proved([5e-5, 0.0, 0.0], [3e-4, 3e-4, 0.0]),
     ],
 )
 def test_a_hard_iron_is_estimated_without_being_asked_for(iron):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 from typer.testing import CliRunner
 from worlds import injected, recording_of
 
@@ -142,7 +143,7 @@ def with_magnetometer(rng: np.random.Generator) -> Phone:
 
 @pytest.mark.parametrize(
     ("stream", "seed"),
-    [("heading", 0), pytest.param("heading", 1, marks=pytest.mark.prove), ("mag", 2)],
+    [("heading", 0), *proved(("heading", 1)), ("mag", 2)],
 )
 def test_likelihood_and_prior_are_the_posterior(stream: str, seed: int) -> None:
     """Also where the recording has constants of its own (the strengths of the field)."""

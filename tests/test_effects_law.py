@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.spatial.transform import Rotation
 from settled import solve
 from worlds import injected, recording_of, true_levels
@@ -695,80 +696,54 @@ TRIALS = [
     ("gyro_misalignment", "free-hand", good_heading, "heading", 1.0),
     ("accel_scale", "free-hand", good_heading, "heading", 1.0),
     ("accel_misalignment", "free-hand", good_heading, "heading", 1.0),
-    pytest.param("accel_delay", "free-hand", good_heading, "heading", 0.2, marks=pytest.mark.prove),
+    *proved(("accel_delay", "free-hand", good_heading, "heading", 0.2)),
     ("accel_delay", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "heading_delay", "free-hand", good_heading, "heading", 0.15, marks=pytest.mark.prove
-    ),
+    *proved(("heading_delay", "free-hand", good_heading, "heading", 0.15)),
     ("heading_delay", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "heading_delay", "free-hand", with_magnetometer, "mag", 0.15, marks=pytest.mark.prove
-    ),
+    *proved(("heading_delay", "free-hand", with_magnetometer, "mag", 0.15)),
     ("lever_arm", "free-hand", good_heading, "heading", 1.0),
-    pytest.param("lever_arm", "free-hand", with_pose, "pose", 1.0, marks=pytest.mark.prove),
-    pytest.param(
-        "lever_arm", "free-hand", with_reference, "reference", 1.0, marks=pytest.mark.prove
-    ),
-    pytest.param(
-        "clock_rate", "free-hand", with_reference, "reference", 1.0, marks=pytest.mark.prove
-    ),
-    pytest.param(
-        "clock_rate", "free-hand", with_reference, "reference", 3.0, marks=pytest.mark.prove
-    ),
-    pytest.param(
-        "gyro_misalignment", "free-hand", with_reference, "reference", 1.0, marks=pytest.mark.prove
-    ),
+    *proved(("lever_arm", "free-hand", with_pose, "pose", 1.0)),
+    *proved(("lever_arm", "free-hand", with_reference, "reference", 1.0)),
+    *proved(("clock_rate", "free-hand", with_reference, "reference", 1.0)),
+    *proved(("clock_rate", "free-hand", with_reference, "reference", 3.0)),
+    *proved(("gyro_misalignment", "free-hand", with_reference, "reference", 1.0)),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
     ("pose_scale", "free-hand", with_pose, "pose", 1.0),
-    pytest.param(
-        "mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1, marks=pytest.mark.prove
-    ),
+    *proved(("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1)),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 1.0),
-    pytest.param(
-        "mag_hard_iron", "free-hand", with_magnetometer, "mag", 3.0, marks=pytest.mark.prove
-    ),
+    *proved(("mag_hard_iron", "free-hand", with_magnetometer, "mag", 3.0)),
     ("gyro_g_sensitivity", "free-hand", good_heading, "heading", 1.0),
     ("gyro_quadratic", "free-hand", good_heading, "heading", 1.0),
     ("gyro_cross_products", "free-hand", good_heading, "heading", 1.0),
     ("accel_cross_products", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "accel_cross_products", "free-hand", with_pose, "pose", 1.0, marks=pytest.mark.prove
-    ),
+    *proved(("accel_cross_products", "free-hand", with_pose, "pose", 1.0)),
     ("accel_asymmetry", "free-hand", good_heading, "heading", 1.0),
     ("size_effect", "free-hand", good_heading, "heading", 1.0),
-    pytest.param("size_effect", "free-hand", with_pose, "pose", 1.0, marks=pytest.mark.prove),
+    *proved(("size_effect", "free-hand", with_pose, "pose", 1.0)),
     ("gyro_temperature", "free-hand", with_thermometer, "heading temperature", 1.0),
     ("accel_temperature", "free-hand", with_thermometer, "heading temperature", 1.0),
-    pytest.param(
-        "gyro_bandwidth", "free-hand", good_heading, "heading", 0.2, marks=pytest.mark.prove
-    ),
+    *proved(("gyro_bandwidth", "free-hand", good_heading, "heading", 0.2)),
     ("gyro_bandwidth", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "gyro_bandwidth", "free-hand", fast_with_pose, "pose", 10.0, marks=pytest.mark.prove
-    ),
+    *proved(("gyro_bandwidth", "free-hand", fast_with_pose, "pose", 10.0)),
     ("gravity", "free-hand", good_heading, "heading", 1.0),
     ("earth_rate", "free-hand", quiet_gyro, "heading", 1.0),
     ("clock_rate", "free-hand", with_pose, "pose", 1.0),
-    pytest.param("clock_rate", "free-hand", with_pose, "pose", 10.0, marks=pytest.mark.prove),
+    *proved(("clock_rate", "free-hand", with_pose, "pose", 10.0)),
     ("heading_hard_iron", "free-hand", good_heading, "heading", 1.0),
     ("heading_soft_iron", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "mag_soft_iron", "free-hand", with_magnetometer, "mag", 0.3, marks=pytest.mark.prove
-    ),
+    *proved(("mag_soft_iron", "free-hand", with_magnetometer, "mag", 0.3)),
     ("mag_soft_iron", "free-hand", with_magnetometer, "mag", 1.0),
     ("heading_drift", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "heading_drift", "free-hand", with_magnetometer, "mag", 1.0, marks=pytest.mark.prove
-    ),
+    *proved(("heading_drift", "free-hand", with_magnetometer, "mag", 1.0)),
 ]
-SEEDS = (0, pytest.param(1, marks=pytest.mark.prove))
+SEEDS = (0, *proved(1))
 LONGER = {"earth_rate": 84.0}
 # id, levels, how many times too large or too small each may be found: 84 s hold some twenty
 # independent moments of noise that is remembered for 3 s, or of a walk
 NOISE_TRIALS = [
     ("gyro_bias_walk", [1e-3], [1.5]),
-    pytest.param("accel_bias_walk", [1e-2], [1.5], marks=pytest.mark.prove),
-    pytest.param("heading_correlated_noise", [0.05, 3.0], [1.5, 2.0], marks=pytest.mark.prove),
+    *proved(("accel_bias_walk", [1e-2], [1.5])),
+    *proved(("heading_correlated_noise", [0.05, 3.0], [1.5, 2.0])),
 ]
 
 
@@ -871,9 +846,7 @@ def test_a_field_that_changes_with_place_comes_back(seed):
         assert got.sigma < 0.2 * parameter.prior_sigma
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2, 3))]
-)
+@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
 def test_a_step_comes_back_from_the_best_of_its_moments(seed):
     """About each moment in turn, as explain does; then settled about the best of them."""
     name, rng = "gyro_bias_step", np.random.default_rng(1000 + seed)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from proved import proved
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from worlds import injected, problem_of, recording_of
@@ -71,7 +72,7 @@ def test_what_is_averaged_adds_up_to_what_it_did(lengths: list[int], seed: int) 
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_a_delay_is_as_sure_as_the_evidence_is_of_it(seed: int) -> None:
     """A gyro whose bias walks, in slow turns: shifted by 20 ms the accelerometer costs as many nats
     as the information matrix says, within a factor of 1.5. (The tremor of the hand, of which the
@@ -142,7 +143,7 @@ def small_changes(k: Array, s: Signals) -> Array:
     return np.hstack([np.zeros_like(s.gyro), k * (s.accel - mean)])
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_what_makes_a_hands_sway_smaller_is_not_favoured_for_that(seed: int) -> None:
     """An accelerometer that felt small changes too little would make the sway of every hand larger
     than it is: nothing says so, for or against."""

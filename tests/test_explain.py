@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import schemas
 from fake_explanation import fake_explanation
+from proved import proved
 from worlds import injected, recording_of
 
 import handcal
@@ -76,7 +77,7 @@ def only(explanation: Explanation, effect: str) -> Missing:
 # --- nothing, one, several ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_nothing_is_missing(seed: int) -> None:
     world = world_of({}, seed)
     found = explained(world)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from proved import proved
 from test_explain import slow
 from worlds import climbed_from, likeliest_laws, recording_of
 
@@ -145,7 +146,7 @@ def as_far_as_it_goes(
     return model, effect
 
 
-@pytest.mark.parametrize("begun", [0.0, pytest.param(-0.05, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("begun", [0.0, *proved(-0.05)])
 def test_a_place_at_zero_is_adjusted(begun: float) -> None:
     """In proportion to itself it would stay there."""
     true = (0.6, 1.0)
@@ -373,7 +374,7 @@ def held(seed: int, seconds: float, error: Callable[[Imu], Array]) -> Recording:
 @pytest.mark.prove
 @pytest.mark.parametrize(
     ("seed", "seconds"),
-    [(0, 40.0), *(pytest.param(k, 40.0, marks=pytest.mark.prove) for k in range(1, 3))],
+    [(0, 40.0), *proved(*((k, 40.0) for k in range(1, 3)))],
 )
 def test_a_law_of_two_axes_is_not_told_of_the_third(seed: int, seconds: float) -> None:
     """Found as a law of all three, each with a constant of its own; without the step that puts it
@@ -413,7 +414,7 @@ def test_a_course_is_chosen_again_beside_what_came_after_it(seed: int) -> None:
     ("kind", "begun", "true"),
     [
         ("while", (9.6, 21.4), (9.37, 21.64)),
-        pytest.param("switched", (11.1, 2.3, 4.2), (10.83, 2.51, 3.97), marks=pytest.mark.prove),
+        *proved(("switched", (11.1, 2.3, 4.2), (10.83, 2.51, 3.97))),
     ],
 )
 # (a heading of 5 deg of noise on the wrong side of an edge of 0.3 rad)
@@ -421,7 +422,7 @@ def test_a_course_is_chosen_again_beside_what_came_after_it(seed: int) -> None:
     ("channel", "nats"),
     [
         ("gyro_x", 1.0),
-        pytest.param("heading", 0.5 * (0.3 / np.radians(5.0)) ** 2, marks=pytest.mark.prove),
+        *proved(("heading", 0.5 * (0.3 / np.radians(5.0)) ** 2)),
     ],
 )
 def test_the_numbers_of_a_course_are_told_nearer_than_its_grid(
@@ -524,8 +525,8 @@ def test_the_best_law_of_a_long_recording_is_the_one_that_is_there(name: str, si
     ("place", "width"),
     [
         (0.43, 0.05),
-        pytest.param(-0.7, 0.12, marks=pytest.mark.prove),
-        pytest.param(1.1, 0.03, marks=pytest.mark.prove),
+        *proved((-0.7, 0.12)),
+        *proved((1.1, 0.03)),
     ],
 )
 def test_a_rise_is_told_with_its_place_and_its_width(place: float, width: float) -> None:

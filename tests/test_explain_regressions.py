@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.stats import chi2
 from worlds import recording_of
 
@@ -73,7 +74,7 @@ def names(found: Explanation) -> list[str]:
 # gravity was named beside the scale errors of an accelerometer (free-hand, seed 5, 84 s).
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_what_excites_an_accelerometers_scale_is_not_the_sway(seed: int) -> None:
     """A hand that sways by four times the usual. Of its acceleration, which nobody asked for,
     less than a fifth is in the force that a scale error scales (when it was all there: half to
@@ -137,7 +138,7 @@ def with_a_burst(seed: int, off: float | None = None) -> Recording:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_burst_of_wrong_headings_is_no_share_of_outliers(seed: int) -> None:
     """Something happened there, and no known effect stands in for it. (At the ends some of
     the readings come while body x is near the vertical, and count for nothing.)"""
@@ -202,7 +203,7 @@ def test_a_hand_that_wobbles_while_it_turns_shows_how_the_marker_sits(seed: int)
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_delay_of_more_than_a_radian(seed: int) -> None:
     def filmed(rng: np.random.Generator) -> Phone:
         return replace(
@@ -224,9 +225,7 @@ def test_a_delay_of_more_than_a_radian(seed: int) -> None:
 # beside delays every third came out backwards in time.
 
 
-@pytest.fixture(
-    scope="module", params=[0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2))]
-)
+@pytest.fixture(scope="module", params=[0, *proved(1, 2)])
 def smoothed(request: pytest.FixtureRequest) -> Recording:
     def filmed(rng: np.random.Generator) -> Phone:
         return replace(consumer_phone(rng), pose=capture_pose(rng))
@@ -273,7 +272,7 @@ def test_a_hands_sway_is_not_mistaken_for_an_arm() -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_beside_a_step_of_the_bias_there_is_no_arm(seed: int) -> None:
     """Steps of 0.3 deg/s in the middle."""
     truth = [0.005, -0.005, 0.004, 20.0]
@@ -319,9 +318,7 @@ def test_a_slow_gyro_is_no_early_heading() -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "seed", [2, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 1, 3))]
-)
+@pytest.mark.parametrize("seed", [2, *proved(0, 1, 3)])
 def test_what_only_sway_tells_apart_is_one_set(seed: int) -> None:
     """A slow gyro or an early accelerometer, in a turn about one axis: evidence is for one of
     them by seven nats with this hand (seed 2), whichever it is."""
@@ -436,7 +433,7 @@ def test_readings_where_there_is_no_heading_do_not_stand_out() -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_magnetometers_outliers_are_outliers(seed: int) -> None:
     """Once left out, readings of a field were not judged again, and all were put back: an iron
     and correlated noise were named."""
@@ -466,8 +463,8 @@ def test_readings_that_ran_away_have_no_delayed_readings() -> None:
     "effect",
     [
         {"gyro_scale": [0.0, 0.01, 0.0]},
-        pytest.param({"gyro_misalignment": [0, 0, 0.01, 0, 0, 0]}, marks=pytest.mark.prove),
-        pytest.param({"accel_scale": [0.0, 0.0, 0.01]}, marks=pytest.mark.prove),
+        *proved({"gyro_misalignment": [0, 0, 0.01, 0, 0, 0]}),
+        *proved({"accel_scale": [0.0, 0.0, 0.01]}),
     ],
 )
 def test_an_error_of_one_axis_has_its_name(effect: dict[str, list[float]]) -> None:

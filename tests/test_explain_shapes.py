@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from proved import proved
 from worlds import likeliest_laws, recording_of
 
 from handcal.compiled.jit import call_residual
@@ -113,9 +114,7 @@ def test_an_imu_channels_spline_goes_through_a_bump() -> None:
     assert not error[:, [0, 1, 2, 3, 5]].any()
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2, 3))]
-)
+@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
 @pytest.mark.parametrize(("family", "numbers"), [*COURSES, *AGAIN])
 def test_the_planted_course_is_found(family: courses.Family, numbers: Array, seed: int) -> None:
     """What white readings say of a course ten times as large as their noise at each knot."""
@@ -179,7 +178,7 @@ def test_what_passes_by_is_unexplained(sign: float) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("square", [False, pytest.param(True, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("square", [False, *proved(True)])
 def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
     """A walk or an attitude error stood in for it while a heading saw no thermometer."""
     world = simulate("free-hand", seed=0, duration_s=40.0, phone=warming, effects={})

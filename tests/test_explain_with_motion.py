@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import schemas
 from fake_explanation import fake_explanation
+from proved import proved
 from test_explain import slow as at_fifty_hertz
 from worlds import recording_of
 
@@ -88,9 +89,7 @@ def rings(seed: int, size: float) -> Recording:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2, 3))]
-)
+@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
 def test_what_no_law_describes_is_no_walk_and_no_handful_of_names(seed: int) -> None:
     e = explain([rings(seed, 0.05)])
     assert e.verdict == "unexplained"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 
 import handcal
 from handcal.estimate.observed import check_options
@@ -26,9 +27,7 @@ def with_mag(rng):
     return replace(consumer_phone(rng), heading=None, mag=consumer_magnetometer(rng))
 
 
-@pytest.fixture(
-    scope="module", params=["free-hand", pytest.param("six sides", marks=pytest.mark.prove)]
-)
+@pytest.fixture(scope="module", params=["free-hand", *proved("six sides")])
 def shown(request):
     """Stamps, rates and forces, and a magnetometer, in a motion that shows all of them."""
     motion = {"six sides": six_sides}.get(request.param, request.param)
@@ -191,7 +190,7 @@ TRUTH = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["bursts", pytest.param("gap_in_rest", marks=pytest.mark.prove)])
+@pytest.mark.parametrize("name", ["bursts", *proved("gap_in_rest")])
 def test_bursts_and_a_gap_cost_a_calibration_nothing(cases, name):
     result = handcal.calibrate(load(cases / f"{name}.csv"))
     for effect, truth in TRUTH.items():

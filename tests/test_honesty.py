@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 
 import handcal
 from handcal.types import Recording, Result
@@ -17,7 +18,7 @@ from handcal_sim import simulate, write
 from handcal_sim.motion import Start
 from handcal_sim.phone import Phone, consumer_magnetometer, consumer_phone
 
-SEEDS = (0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2, 3)))
+SEEDS = (0, *proved(1, 2, 3))
 
 
 def _with_magnetometer(rng: np.random.Generator) -> Phone:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 from sample_recording import sample
 
 from handcal.recordings.export import write_mcap
@@ -175,14 +176,11 @@ def test_quantised_rest_and_steady_turning_are_not_saturated(
     "name",
     [
         "array_1_imu5",
-        *(
-            pytest.param(name, marks=pytest.mark.prove)
-            for name in (
-                "array_2_imu3",
-                "broad_01_slow_rotation",
-                "broad_06_fast_rotation",
-                "broad_08_fast_rotation_breaks",
-            )
+        *proved(
+            "array_2_imu3",
+            "broad_01_slow_rotation",
+            "broad_06_fast_rotation",
+            "broad_08_fast_rotation_breaks",
         ),
     ],
 )

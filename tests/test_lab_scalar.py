@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hand_world import Held, alternating, record, turns
 from lab_world import command, off, recording
+from proved import proved
 from scipy.optimize import least_squares
 
 import handcal
@@ -244,9 +245,7 @@ def test_sigmas_of_simulated_tables():
 # --- real hands ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", ["array_1_imu5", pytest.param("array_2_imu3", marks=pytest.mark.prove)]
-)
+@pytest.mark.parametrize("name", ["array_1_imu5", *proved("array_2_imu3")])
 def test_real_rests_to_a_hundredth_and_halves_that_agree(name, real_recordings):
     """Issue 5: 20 rest poses; norm within 0.01 m/s^2; both halves within 3 sigma."""
     result = scalar(handcal.load(real_recordings / f"{name}.mcap"))
@@ -291,7 +290,7 @@ PUBLISHED = {
 
 @pytest.mark.parametrize(
     "name",
-    ["nilspod_ferraris", *(pytest.param(k, marks=pytest.mark.prove) for k in ("xsens_poses",))],
+    ["nilspod_ferraris", *proved("xsens_poses")],
 )
 def test_real_devices_agree_with_published_calibrations(name, real_recordings):
     result = scalar(handcal.load(real_recordings / "devices" / f"{name}.mcap"))
@@ -311,7 +310,7 @@ IMU_CALIB = {
 }
 
 
-@pytest.mark.parametrize("device", [3, *(pytest.param(k, marks=pytest.mark.prove) for k in (0,))])
+@pytest.mark.parametrize("device", [3, *proved(0)])
 def test_rests_a_few_samples_apart_calibrate_as_published(device, real_recordings):
     """Issue 75: in the recording of device 3 two pauses are three samples apart."""
     result = scalar(handcal.load(real_recordings / "devices" / f"imu_calib_{device}.csv"))

@@ -11,6 +11,7 @@ import pytest
 import schemas
 import yaml
 from fake_explanation import fake_explanation
+from proved import proved
 from rich.console import Console
 from worlds import recording_of
 
@@ -36,9 +37,7 @@ def filmed(rng: np.random.Generator):
     return replace(consumer_phone(rng), pose=Pose(sigma_m=1e-3, sigma_rad=2e-3, C_bm=TURNED))
 
 
-@pytest.fixture(
-    scope="module", params=[0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))]
-)
+@pytest.fixture(scope="module", params=[0, *proved(1, 2)])
 def found(request):
     world = simulate("free-hand", seed=request.param, duration_s=40.0, phone=filmed,
                      effects={"lever_arm": [0.1, -0.05, 0.2]})  # fmt: skip

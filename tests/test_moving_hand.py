@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.linalg import expm
 from worlds import recording_of
 
@@ -122,7 +123,7 @@ def test_who_rides_a_lift_has_no_error_in_his_accelerometer(seed: int) -> None:
     assert any("moves to another place" in w for w in found.warnings)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_another_hand_is_another_place(seed: int) -> None:
     """A third of a metre within a second: as a held point it swayed by centimetres all along."""
     world = simulate(people(free_hand, [changes_hands]), seed=seed, duration_s=50.0)

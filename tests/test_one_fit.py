@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import schemas
+from proved import proved
 from worlds import recording_of
 
 import handcal
@@ -90,11 +91,9 @@ def test_calibrate_repeats_what_explain_ended_with(name: str) -> None:
 @pytest.mark.parametrize(
     "effects",
     [
-        pytest.param({"gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}, marks=pytest.mark.prove),
+        *proved({"gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}),
         {"heading_outliers": [0.1]},
-        pytest.param(
-            {"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]}, marks=pytest.mark.prove
-        ),
+        *proved({"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]}),
     ],
     ids=lambda e: "+".join(e),
 )
@@ -199,9 +198,7 @@ def drops(recording: Recording) -> dict[str, float]:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in range(1, 12))]
-)
+@pytest.mark.parametrize("seed", [0, *proved(*range(1, 12))])
 def test_an_effect_that_is_not_there_costs_its_parameters_at_most(seed: int) -> None:
     assert max(drops(made({}, seed, 30.0)).values()) < 0.0
 

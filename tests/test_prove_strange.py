@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import schemas
 from prove_help import parameter, said
+from proved import proved
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
@@ -376,7 +377,7 @@ def test_a_heading_is_counted_from_where_an_explanation_has_north():
 @pytest.mark.prove
 @pytest.mark.parametrize(
     "channel",
-    ["gyro_y", *(pytest.param(k, marks=pytest.mark.prove) for k in ("accel_z", "heading"))],
+    ["gyro_y", *proved("accel_z", "heading")],
 )
 def test_what_a_formula_adds_is_known_here(world, scene, channel):
     """Of each driver, in the words of its formula: only the law itself is not the same."""

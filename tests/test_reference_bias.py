@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.stats import binom, chi2
 
@@ -124,9 +125,7 @@ def test_the_biases_are_the_imus_own(rests: bool, exact: bool) -> None:
     assert beyond <= binom.ppf(0.995, n, 0.0027)
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in SEEDS[1:])]
-)
+@pytest.mark.parametrize("seed", [0, *proved(*SEEDS[1:])])
 def test_a_bias_is_as_uncertain_as_the_reference_leaves_it(seed: int) -> None:
     """Without rests the difference is known and how it is shared is not: the prior over the
     square root of two. A reference without bias leaves noise alone, over fifteen seconds."""
@@ -307,7 +306,7 @@ def still(made: Device, recording: Recording) -> float:
     return float(np.linalg.norm(made.bias[:3] + change.mean(axis=0)))
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 @pytest.mark.parametrize(("rests", "exact"), [(True, False), (False, False), (False, True)])
 def test_applied_it_makes_no_gyro_worse(
     rests: bool, exact: bool, seed: int, tmp_path: Path

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hand_world import Held, Sensor, Table, Turn, alternating, band, record, turns
+from proved import proved
 from worlds import recording_of
 
 import handcal
@@ -25,7 +26,7 @@ from handcal_sim import simulate
 from handcal_sim.motion_carried import carried, strolled
 from handcal_sim.phone import perfect_phone
 
-RATES = (50.0, 200.0, *(pytest.param(r, marks=pytest.mark.prove) for r in (100.0, 500.0)))
+RATES = (50.0, 200.0, *proved(100.0, 500.0))
 
 
 def near(found, true, reach=0.5):
@@ -330,7 +331,7 @@ def test_between_rests_the_trajectory_follows_the_readings() -> None:
     assert _apart(straight, turn @ true) > np.radians(5.0)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_a_walk_that_begins_slowly_tells_nothing_of_a_delay_in_the_rest_before(seed: int) -> None:
     """Without noise and at rest to the last digit: what a delay does to the beginning of a walk,
     averaged into the rest before it, made 20 ms into 10 +- 0.4."""

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from proved import proved
 from typer.testing import CliRunner
 
 from handcal import effects, user_effects
@@ -371,7 +372,7 @@ def test_what_an_operator_makes_is_told_from_its_name():
     assert operators.parsed("(play(0.25 rad/s) of omega_x)") is None
 
 
-@pytest.mark.parametrize("sensor", [0, 1])
+@pytest.mark.parametrize("sensor", [0, *proved(1)])
 def test_a_law_over_a_further_driver_written_out_is_the_law(tmp_path, sensor):
     """Each kind of them, with one of its numbers: to a millionth of what it adds."""
     s, kinds = moved(), {}
