@@ -8,15 +8,13 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import schemas
 from typer.testing import CliRunner
-from worlds import recording_of
+from worlds import recording_of, slow
 
 import handcal.explain
 from handcal.commands._app import app
@@ -31,13 +29,6 @@ from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
 from handcal.types import Recording
 from handcal_sim import simulate, write
-from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 @pytest.fixture(scope="module")

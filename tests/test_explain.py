@@ -16,7 +16,7 @@ import pytest
 import schemas
 from fake_explanation import fake_explanation
 from proved import proved
-from worlds import injected, recording_of
+from worlds import injected, recording_of, slow
 
 import handcal
 import handcal.types
@@ -27,17 +27,9 @@ from handcal.explanation import VERDICTS, Missing
 from handcal.show.explanation.document import explanation_json
 from handcal.types import Parameter, Recording, Series
 from handcal_sim import simulate, write
-from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 from handcal_sim.scenario import World
 
 ARM = {"lever_arm": [0.05, -0.04, 0.06]}
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    """A consumer's phone that reads fifty times a second, its heading ten times."""
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def world_of(effects: Mapping[str, Sequence[float]], seed: int = 0, seconds: float = 30.0) -> World:

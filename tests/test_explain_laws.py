@@ -12,8 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from proved import proved
-from test_explain import slow
-from worlds import climbed_from, likeliest_laws, recording_of
+from worlds import climbed_from, likeliest_laws, recording_of, slow
 
 from handcal import user_effects
 from handcal.effects import Effect, Signals, imu_jacobian, select

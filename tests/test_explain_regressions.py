@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from proved import proved
 from scipy.stats import chi2
-from worlds import recording_of
+from worlds import recording_of, slow
 
 from handcal import observations
 from handcal.compiled import so3
@@ -35,24 +35,15 @@ from handcal_sim import simulate
 from handcal_sim.motion import Start
 from handcal_sim.motion_wild import wild
 from handcal_sim.phone import (
-    Clocking,
     Phone,
     capture_pose,
     consumer_magnetometer,
     consumer_phone,
-    with_rate,
 )
 from handcal_sim.prove import draw
 from handcal_sim.scenario import World
 
 GYRO, ACCEL = {"gyro_scale": [0.01, -0.008, 0.012]}, {"accel_scale": [0.01, -0.008, 0.012]}
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    """A consumer's phone that reads fifty times a second, its heading ten times."""
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def world_of(effects: dict[str, list[float]], seed: int, seconds: float, sway: float = 1.0):

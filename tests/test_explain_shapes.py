@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from proved import proved
-from worlds import likeliest_laws, recording_of
+from worlds import likeliest_laws, recording_of, slow
 
 from handcal.compiled.jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
@@ -51,13 +51,6 @@ AGAIN = (
     (courses.OVER_TIME[1], np.array([9.0, 17.0, 31.0, 42.0, 60.0, 66.0])),
     (courses.OVER_TIME[6], np.array([9.0, 5.0, 33.0, 58.0])),
 )
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    """A consumer's phone that reads fifty times a second, its heading ten times."""
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def _heading_error(effect: shapes.Effect, k: Array, t: float, yaw: float) -> float:

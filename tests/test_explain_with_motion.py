@@ -12,8 +12,8 @@ import pytest
 import schemas
 from fake_explanation import fake_explanation
 from proved import proved
-from test_explain import slow as at_fifty_hertz
 from worlds import recording_of
+from worlds import slow as at_fifty_hertz
 
 from handcal.commands import explain as explain_command
 from handcal.effects import catalogue

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_explain import slow
 from typer.testing import CliRunner
-from worlds import recording_of
+from worlds import recording_of, slow
 
 import handcal as hc
 from handcal.commands import _app

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_explain import slow
-from worlds import recording_of
+from worlds import recording_of, slow
 
 from handcal.explain import explain
 from handcal.explanation import Explanation

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import schemas
 from proved import proved
-from worlds import recording_of
+from worlds import recording_of, slow
 
 import handcal
 from handcal.effects import select
@@ -27,7 +27,6 @@ from handcal.show.calibration.summary import OWN, calibration_json
 from handcal.show.explanation.document import explanation_json
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
-from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 
 SEALED = Path(__file__).resolve().parents[1] / "recordings"
 # Explained by nothing, by one effect, by a term without a name, by two effects; the real ones are
@@ -40,12 +39,6 @@ REAL = (
     "devices/array_6_imu5", "devices/euroc_v203", "devices/phone_oscillations1",
     "devices/phone_oscillations3", "devices/android_fullpitch", "devices/openaxes_circle250",
 )  # fmt: skip
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def made(effects: dict[str, list[float]], seed: int, seconds: float = 45.0) -> Recording:
