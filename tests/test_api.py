@@ -86,6 +86,7 @@ def test_a_heading_that_says_nothing_is_doubted() -> None:
         assert not any("heading carries no information" in s for s in judge.verdict(sure).sentences)
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_calibration_is_that_of_the_command_and_shows_itself(
     recording: types.Recording, written: Path, tmp_path: Path
 ) -> None:
