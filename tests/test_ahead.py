@@ -49,6 +49,7 @@ def _asked(code: str, *arguments: Path) -> dict[str, set[str]]:
     return out
 
 
+@pytest.mark.prove
 def test_what_is_compiled_ahead_is_what_a_fit_needs(tmp_path: Path) -> None:
     path = tmp_path / "turns.mcap"
     write(simulate("three-turns", seed=0, duration_s=12.0), path)

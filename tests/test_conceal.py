@@ -278,6 +278,7 @@ def test_found_again_in_a_magnetometer():
     np.testing.assert_allclose(added, np.tile([1e-5, -2e-5, 3e-5], (len(added), 1)), atol=1e-12)
 
 
+@pytest.mark.prove
 def test_moved_marker_is_as_in_the_simulator():
     """With sight of a pose the readings stay; the simulator moves the IMU on the body instead."""
     rng = np.random.default_rng(1)

@@ -328,6 +328,7 @@ def test_attitude_of_the_filter_is_that_of_the_simulator():
     assert np.abs(error[:, 2] - offset).max() < math.radians(3.0)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_an_app_that_pauses_is_no_swaying_hand(seed):
     """Nobody knows where the device went within a second: as its place was taken to follow from

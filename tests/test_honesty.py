@@ -61,6 +61,7 @@ def test_a_table_does_not_tell_tilt_from_accelerometer_bias(on_a_table: Result) 
     assert on_a_table.parameter("accel_bias", "z").shown
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_turn_about_the_vertical_hides_the_vertical_gyro_bias(seed: int, tmp_path: Path) -> None:
     """Without a heading; the hand holds still, or its wobble would show a little."""

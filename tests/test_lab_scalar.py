@@ -182,6 +182,7 @@ def test_derivatives_of_a_turn_are_its_differences(exact):
     assert np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
 
 
+@pytest.mark.prove
 def test_a_drifting_gyro_bias_harms_neither_scale_nor_its_own_sigma(table):
     """A bias that climbs by 0.2 deg/s: turns are judged by the rests around them."""
     r = table
@@ -310,6 +311,7 @@ IMU_CALIB = {
 }
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("device", [3, *proved(0)])
 def test_rests_a_few_samples_apart_calibrate_as_published(device, real_recordings):
     """Issue 75: in the recording of device 3 two pauses are three samples apart."""

@@ -167,6 +167,7 @@ def test_one_long_ramp_tells_the_gyro_and_how_the_accelerometer_changes() -> Non
     assert sigma.max() < 0.005
 
 
+@pytest.mark.prove
 def test_what_no_polynomial_follows_becomes_a_spline() -> None:
     device = Device(gyro=hump)
     ups = np.tile(sides(1), (60, 1))

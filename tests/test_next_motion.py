@@ -118,6 +118,7 @@ def test_six_faces_are_six() -> None:
     )
 
 
+@pytest.mark.prove
 def test_expected_gain_is_the_mean_over_readings() -> None:
     """Against readings drawn from what the model believes, without and with the right rival."""
     rng = np.random.default_rng(5)
@@ -216,6 +217,7 @@ def _read(recording: Recording, like: Fitted, scale: Array, rng: np.random.Gener
     return replace(recording, imu=replace(imu, gyro=gyro, accel=imu.accel + accel), streams=streams)
 
 
+@pytest.mark.prove
 def test_no_motion_separates_a_gauge() -> None:
     """Equal scale errors of all accelerometers are gravity: no motion is better than silence."""
     effects = {"accel_scale": [0.004] * 3}

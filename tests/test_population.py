@@ -74,6 +74,7 @@ def test_recordings_of_one_device_share_its_value():
         population(x[:2], sigma[:2], owners(["a", "b"]))
 
 
+@pytest.mark.prove
 def test_a_tail_is_told_where_there_is_one():
     rng = np.random.default_rng(0)
     sigma = np.full(200, 0.002)

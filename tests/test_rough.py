@@ -81,6 +81,7 @@ for write in (
 """
 
 
+@pytest.mark.prove
 def test_a_full_disk_is_the_reason_for_a_missing_rrd(folder: Path) -> None:
     """Rerun's own writer waited for ever, or ended early without the reason."""
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])

@@ -309,6 +309,7 @@ def done():
     return run(small(), here(), sweep.run_chunk, Kept(None), ignored)
 
 
+@pytest.mark.prove
 def test_two_processes_of_which_one_is_killed_give_the_same_result(done):
     killed = []
 
@@ -339,6 +340,7 @@ def test_an_error_in_the_work_itself_is_not_tried_again():
         run(small(1), here(), wrong, Kept(None), ignored)
 
 
+@pytest.mark.prove
 def test_an_interrupted_sweep_keeps_finished_cells_and_goes_on(tmp_path, done):
     file = tmp_path / "cells.jsonl"
     runs = 0

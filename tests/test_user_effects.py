@@ -218,6 +218,7 @@ def test_what_goes_wrong_with_a_recording_is_said(late, command, tmp_path):
     assert not (tmp_path / "b.mcap").exists()
 
 
+@pytest.mark.prove
 def test_simulate_hands_the_folder_on(tmp_path):
     assert "effects_from" in simulate_command.__annotations__
     folder, out = folder_with(tmp_path, own_law=GOOD), tmp_path / "a.mcap"
@@ -340,6 +341,7 @@ def laws_over(driver, sensor, signals):
                 yield Law(sensor, axes, each, driver, form, (1.0,) * form.constants)
 
 
+@pytest.mark.prove
 def test_every_law_written_out_is_the_law(tmp_path):
     """Every driver, form and way: to a millionth of what it adds."""
     s = moved()
