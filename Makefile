@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial judge bench bench-check fleet-scale dist size audit clean clean-cache
+.PHONY: help setup demo live docs site gallery stories test slowest lint format prove fuzz fuzz-guided soak rough pairs trial judge bench bench-check fleet-scale dist size audit clean clean-cache
 
 BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
@@ -53,6 +53,9 @@ stories: .venv/.installed-dev ## tell docs/stories.md anew: ten minutes
 
 test: lint ## all quick checks and tests
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not prove"
+
+slowest: .venv/.installed-dev ## the hundred slowest of the quick tests, and what each proves
+	$(BIN)/python scripts/slowest.py
 
 prove: .venv/.installed-dev .venv/.installed-docs ## the slow statistics, with their tables
 	$(BIN)/python -m pytest -m prove -s

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import sys
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +12,10 @@ from typing import TYPE_CHECKING, Any
 # Before numpy is imported: threads on matrices of twenty rows cost more than they bring.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# Bytecode is kept, whatever is said elsewhere: without it each worker compiles all tests anew, and
+# each command that a test starts all of handcal.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import pytest  # noqa: E402
 
@@ -35,6 +41,16 @@ def cases() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no cases in {folder} (set HANDCAL_CASES)")
     return folder
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For what a page says besides: drawing takes most of its time."""
+    from handcal.show.calibration import plots as of_calibration
+    from handcal.show.explanation import plots as of_explanation
+
+    for module in (of_calibration, of_explanation):
+        monkeypatch.setattr(module, "draw", lambda _: defaultdict(list))
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from handcal.types import Imu, Recording
 
@@ -61,15 +62,6 @@ def band(rng, t, low, high, lines=12):
     return np.sqrt(2.0 / lines) * np.sin(2.0 * math.pi * f * t[:, None, None] + phase).sum(axis=1)
 
 
-def _rotation(w):
-    angle = math.sqrt(float(w @ w))
-    if angle < 1e-15:
-        return np.eye(3)
-    x, y, z = w / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
-
-
 def _moves(stage, t, rng):
     """Rate (n, 3) rad/s and force beyond gravity (n, 3) m/s^2 at times t into a stage, s."""
     n, s = len(t), stage.seconds
@@ -97,10 +89,10 @@ def record(stages, seed=0, rate_hz=100.0, sensor=None):
     for stage, a, b in zip(stages, edges[:-1], edges[1:], strict=True):
         own = (t >= a) & (t < b)
         rate[own], push[own] = _moves(stage, t[own] - a, rng)
-    force, C = np.empty((len(t), 3)), _rotation(rng.normal(size=3))
-    for i, w in enumerate(rate):
+    force, C = np.empty((len(t), 3)), Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+    for i, step in enumerate(Rotation.from_rotvec(rate / rate_hz).as_matrix()):
         force[i] = G * C[2]
-        C = C @ _rotation(w / rate_hz)
+        C = C @ step
     gyro = rate + sensor.offset + sensor.gyro * rng.standard_normal(rate.shape)
     accel = force + push + sensor.accel * rng.standard_normal(rate.shape)
     gyro, accel = _steps(gyro, sensor.gyro_step), _steps(accel, sensor.accel_step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -26,14 +27,13 @@ def sample(
     amplitude, phase = rng.uniform(1.0, 3.0, 3), rng.uniform(0, 6, 3)
     moving = np.clip((t - 0.8) / 0.3, 0, 1)[:, None]
     omega = moving * amplitude * np.sin(t[:, None] * 3.0 + phase)
-    up = np.empty((n, 3))
-    up[0] = [0.0, 0.6, 0.8]
-    for k in range(n - 1):
-        rotation = 0.5 * (omega[k] + omega[k + 1]) * (t[k + 1] - t[k])
-        turned = up[k] - np.cross(rotation, up[k])
-        up[k + 1] = turned / np.linalg.norm(turned)
+    up = [(0.0, 0.6, 0.8)]
+    for a, b, c in 0.5 * (omega[:-1] + omega[1:]) * np.diff(t)[:, None]:
+        x, y, z = up[-1]
+        turned = x - b * z + c * y, y - c * x + a * z, z - a * y + b * x
+        up.append(tuple(v / math.hypot(*turned) for v in turned))
     gyro = omega + rng.normal(0, 1e-3, (n, 3))
-    accel = 9.80665 * up + rng.normal(0, 1e-2, (n, 3))
+    accel = 9.80665 * np.array(up) + rng.normal(0, 1e-2, (n, 3))
     imu = Imu(t, gyro, accel, np.ones(n, dtype=np.bool_))
     further = {}
     if streams:

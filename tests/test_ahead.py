@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from proved import proved
 
-from handcal.commands import _precompile
 from handcal.compiled import disk_cache
 from handcal_sim import simulate, write
 
@@ -49,6 +49,7 @@ def _asked(code: str, *arguments: Path) -> dict[str, set[str]]:
     return out
 
 
+@pytest.mark.prove
 def test_what_is_compiled_ahead_is_what_a_fit_needs(tmp_path: Path) -> None:
     path = tmp_path / "turns.mcap"
     write(simulate("three-turns", seed=0, duration_s=12.0), path)
@@ -90,7 +91,7 @@ print(njit(one.twice)(2), flush=True)
 
 
 @pytest.mark.skipif(disk_cache.fcntl is None, reason="no locks that end with a process")
-@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("killed", [True, *proved(False)])
 def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed: bool) -> None:
     (tmp_path / "one.py").write_text("def twice(x):\n    return x + x\n")
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
@@ -113,29 +114,3 @@ def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed:
             said, _ = second.communicate("\n")
     assert said == ("compiled\n4\n" if killed else "4\n")
     assert not list(tmp_path.rglob("*.busy"))
-
-
-@pytest.mark.parametrize(("cores", "first"), [(1, True), (2, False)])
-def test_none_with_one_core_or_where_it_has_been_done(
-    monkeypatch: pytest.MonkeyPatch, cores: int, first: bool
-) -> None:
-    monkeypatch.setattr(_precompile, "_cores", lambda: cores)
-    monkeypatch.setattr(_precompile, "_first_run", lambda: first)
-    monkeypatch.setattr(_precompile, "_begun", lambda: pytest.fail("a process was begun"))
-    with _precompile.compiled_ahead():
-        pass
-
-
-def test_it_ends_with_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun = []
-
-    def sleeps() -> subprocess.Popen[bytes]:
-        begun.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
-        return begun[0]
-
-    monkeypatch.setattr(_precompile, "_cores", lambda: 2)
-    monkeypatch.setattr(_precompile, "_first_run", lambda: True)
-    monkeypatch.setattr(_precompile, "_begun", sleeps)
-    with pytest.raises(KeyboardInterrupt), _precompile.compiled_ahead():
-        raise KeyboardInterrupt
-    assert begun[0].returncode is not None

@@ -17,7 +17,6 @@ from handcal.estimate import fit
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model, Rested
-from handcal.estimate.specification import Options, Specification
 from handcal.explain import pipeline
 from handcal.laws.drivers import Driver, by
 from handcal.laws.grammar import formula, shorter
@@ -32,7 +31,6 @@ from handcal.laws.vocabulary import driver_of
 from handcal.model_score import GAINED, PRIOR, better, of_use
 from handcal.search import beyond_columns, multistart
 from handcal.search.beyond_columns import akin, other_ways
-from handcal.search.budget import Budget
 from handcal_sim import simulate
 
 
@@ -76,51 +74,6 @@ def test_an_end_that_explains_less_than_the_baseline_is_not_the_last(
     found, begun = _search(base, monkeypatch, worse, lambda _: next(wide))
     assert found.log_evidence == base.log_evidence
     assert len(begun) == 2
-
-
-def test_a_hand_is_asked_about_once_for_each_end(
-    base: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[object] = []
-    monkeypatch.setattr(pipeline, "moving", lambda _, model, __: asked.append(model))
-    monkeypatch.setattr(pipeline, "_gained", lambda _: {})
-    hand = pipeline._Hand(base, True, Budget())
-    one, other = (
-        multistart.Found(replace(base), None, {}, {})  # type: ignore[arg-type]
-        for _ in range(2)
-    )
-    assert not hand.moves(one)
-    assert hand.other(one) is None
-    assert len(asked) == 1
-    assert hand.other(other) is None
-    assert len(asked) == 2
-    assert not pipeline._Hand(base, False, Budget()).moves(one)
-    assert len(asked) == 2
-
-
-@pytest.mark.parametrize(("good", "asked"), [(0, 1), (1, 2), (2, 3), (None, 3)])
-def test_no_start_of_the_final_fit_is_asked_for_after_one_that_is_as_good(
-    good: int | None, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun: list[str] = []
-
-    def fits(_: object, written: Specification) -> Model:
-        begun.append(written.begin or "exact")
-        less = 0.0 if len(begun) - 1 == good else 2.0 * pipeline.SAME + len(begun)
-        return replace(base, log_evidence=base.log_evidence - less)
-
-    monkeypatch.setattr(pipeline, "settled", fits)
-    monkeypatch.setattr(pipeline, "in_parallel", lambda calls: (call() for call in calls))
-    monkeypatch.setattr(pipeline, "_with", lambda found, model: replace(found, model=model))
-    found = multistart.Found(base, SimpleNamespace(), {}, {})
-    end = SimpleNamespace(base=base, moves=False)
-    monkeypatch.setattr(pipeline, "moments", lambda _: {})
-    told, written = pipeline._refitted(end, found, Options())
-    assert begun == ["baseline", "online", "exact"][:asked]
-    best = 0 if good is None else good
-    assert (written.begin or "exact") == begun[best]
-    worse = 2.0 * pipeline.SAME + 1.0 if good is None else 0.0
-    assert told.model.log_evidence == base.log_evidence - worse
 
 
 def test_a_sum_without_each_of_its_functions():

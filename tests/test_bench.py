@@ -247,6 +247,7 @@ def test_what_was_begun_ends_with_who_no_longer_waits(monkeypatch, tmp_path):
     assert not (tmp_path / "late").exists()
 
 
+@pytest.mark.prove
 @pytest.mark.skipif(not hasattr(os, "wait4"), reason="this system does not tell.")
 def test_the_memory_of_who_measures_is_not_counted():
     mine = np.ones(25_000_000)  # (200 MB)
@@ -429,6 +430,7 @@ def test_a_command_that_is_looked_at_says_where_its_time_went():
     assert not list(timing.profile("start", "help", timing.run_handcal("--help")))
 
 
+@pytest.mark.prove
 def test_a_command_that_fails_while_it_is_looked_at_says_why():
     with pytest.raises(HandcalError, match=r"failed: .*nowhere\.mcap"):
         timing.run_handcal("info", "nowhere.mcap", sampled=True)

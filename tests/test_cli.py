@@ -31,7 +31,7 @@ def run(*arguments: str, **options) -> subprocess.CompletedProcess:
 
 
 @pytest.fixture
-def main(monkeypatch, capsys):
+def main(monkeypatch, capsys, no_figures):  # noqa: ARG001
     """The command line in this process, loading and calibrating nothing."""
     monkeypatch.setitem(handcal.__dict__, "load", lambda *_, **__: fake_result().recording)
     calls = []
@@ -82,21 +82,20 @@ def test_version_and_help():
         ["--nonsense"],
     ],
 )
-def test_wrong_use_is_status_2_and_one_line(arguments):
-    done = run(*arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith("handcal: ")
+def test_wrong_use_is_status_2_and_one_line(arguments, monkeypatch, capsys):
+    status, out, err = command(monkeypatch, capsys, *arguments)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith("handcal: ")
 
 
 @pytest.mark.parametrize("name", ["x.mcap", "x.csv", "x.zip"])
-def test_an_empty_file_is_unreadable_input(tmp_path, name):
+def test_an_empty_file_is_unreadable_input(tmp_path, name, monkeypatch, capsys):
     (tmp_path / name).touch()
-    done = run("calibrate", str(tmp_path / name))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "empty" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    status, out, err = command(monkeypatch, capsys, "calibrate", tmp_path / name)
+    assert (status, out) == (2, "")
+    assert "empty" in err
+    assert len(err.splitlines()) == 1
 
 
 def test_a_report_that_cannot_be_written_is_a_sentence(main, tmp_path):
@@ -133,11 +132,11 @@ class Closed(io.StringIO):
     ("command", "options"),
     [
         ("calibrate x", ("json", "report", "rrd")),
-        ("explain x", ("json", "report", "rrd")),
-        ("explain x --json -", ("report", "rrd")),
-        ("calibrate x --json -", ("report", "rrd")),
+        ("explain x", ("json", "report")),
+        ("explain x --json -", ("report",)),
+        ("calibrate x --json -", ("report",)),
         ("design motion --reduce gyro_bias", ("json", "report", "picture")),
-        ("design poses --n 4 --known pose --seed 0", ("json", "report", "picture", "rrd")),
+        ("design poses --n 4 --known pose --seed 0", ("json", "report", "picture")),
         ("effects", ("json",)),
     ],
 )

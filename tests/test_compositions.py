@@ -85,6 +85,7 @@ def test_what_is_made_of_more_costs_more() -> None:
     assert costs[1] - costs[0] == pytest.approx(COMPOSED)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("sensor", "errors"),
     [

@@ -245,6 +245,7 @@ def ordinary(**more):
     return simulate("free-hand", seed=4, duration_s=40.0, phone=phone)
 
 
+@pytest.mark.prove
 def test_found_again_beside_a_heading():
     effects = {
         "gyro_scale": [0.01, -0.02, 0.005],
@@ -266,6 +267,7 @@ def test_found_again_beside_a_pose():
     assert_found(recording, effects)
 
 
+@pytest.mark.prove
 def test_found_again_in_a_magnetometer():
     rng = np.random.default_rng(1)
     recording = recording_of(ordinary(heading=None, mag=consumer_magnetometer(rng)), "mag")
@@ -276,6 +278,7 @@ def test_found_again_in_a_magnetometer():
     np.testing.assert_allclose(added, np.tile([1e-5, -2e-5, 3e-5], (len(added), 1)), atol=1e-12)
 
 
+@pytest.mark.prove
 def test_moved_marker_is_as_in_the_simulator():
     """With sight of a pose the readings stay; the simulator moves the IMU on the body instead."""
     rng = np.random.default_rng(1)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from model_world import LEVELS, draw, errors, motion, settle
+from proved import proved
 
 import handcal
 from handcal.estimate.consistency import bound, chi2_bounds, nees
@@ -98,16 +99,13 @@ def _hand_world(scenario: str, seeds: int, folder: Path) -> None:
     assert 0.7 * slack[0] < mean["both"] < 1.4 * slack[1]
 
 
-@pytest.mark.parametrize(
-    "scenario", ["z-turn", pytest.param("three-turns", marks=pytest.mark.prove)]
-)
+@pytest.mark.parametrize("scenario", ["z-turn", *proved("three-turns")])
 def test_the_filter_is_consistent_in_its_own_world(scenario: str) -> None:
     _model_world(scenario, 24)
 
 
-@pytest.mark.parametrize(
-    "scenario", [pytest.param("z-turn", marks=pytest.mark.prove), "three-turns"]
-)
+@pytest.mark.prove
+@pytest.mark.parametrize("scenario", [*proved("z-turn"), "three-turns"])
 def test_the_filter_is_consistent_in_a_hand(scenario: str, tmp_path: Path) -> None:
     _hand_world(scenario, 6, tmp_path)
 

@@ -12,6 +12,7 @@ from handcal_sim import write
 from handcal_sim.commands.demo import CONCEALED, LEAST, MOST, concealing, off_by, truth_of
 
 
+@pytest.mark.prove
 def test_the_demo_writes_what_it_says_and_finds_the_truth(tmp_path):
     done = CliRunner().invoke(_app.app, ["demo", "--out", str(tmp_path / "a" / "b")])
     assert done.exit_code == 0, done.stderr

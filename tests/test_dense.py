@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 from typer.testing import CliRunner
 from worlds import injected, recording_of
 
@@ -53,6 +54,7 @@ def biases(world: World) -> Array:
 # --- an ordinary device -------------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_biases_are_as_far_off_as_is_said_and_without_the_rest_they_are_not() -> None:
     """In a turn about the vertical, where gravity hides what else there is. Eighteen errors of a
     normal density lie within three sigma of each with a probability of 0.95."""
@@ -70,6 +72,7 @@ def test_biases_are_as_far_off_as_is_said_and_without_the_rest_they_are_not() ->
     assert max(off[True]) > 5.0
 
 
+@pytest.mark.prove
 def test_what_is_asked_for_alone_is_said_to_be_alone(tmp_path: Path) -> None:
     """By the function and by the command; without it nothing is said, and all is estimated."""
     recording = recording_of(simulate("three-turns", seed=0, duration_s=12.0), "heading")
@@ -118,6 +121,7 @@ def test_what_is_given_the_model_is_the_conditional_density() -> None:
     np.testing.assert_allclose(as_before, np.sqrt(np.diag(covariance)))
 
 
+@pytest.mark.prove
 def test_given_nothing_else_biases_are_those_of_a_fit_without() -> None:
     """Of a device without further errors; the two fits find their own noise levels."""
     recording = recording_of(simulate("free-hand", seed=0, duration_s=30.0), "heading")
@@ -137,7 +141,10 @@ def with_magnetometer(rng: np.random.Generator) -> Phone:
     return replace(consumer_phone(rng), mag=consumer_magnetometer(rng))
 
 
-@pytest.mark.parametrize(("stream", "seed"), [("heading", 0), ("heading", 1), ("mag", 2)])
+@pytest.mark.parametrize(
+    ("stream", "seed"),
+    [("heading", 0), *proved(("heading", 1)), ("mag", 2)],
+)
 def test_likelihood_and_prior_are_the_posterior(stream: str, seed: int) -> None:
     """Also where the recording has constants of its own (the strengths of the field)."""
     scale = {"gyro_scale": [0.01, -0.008, 0.006]}
@@ -256,6 +263,7 @@ def far_off(result: Result) -> Array:
     return np.array([(p.value - true) / p.sigma for p, true in zip(own, FAR, strict=True)])
 
 
+@pytest.mark.prove
 def test_a_strong_error_is_found_in_a_short_motion() -> None:
     """Twenty times the usual scale error, in twelve seconds."""
     world = simulate("three-turns", seed=0, duration_s=12.0, effects={"gyro_scale": FAR})

@@ -114,6 +114,7 @@ def test_efficiency_of_paper_001_and_own_poses() -> None:
     assert theirs.d_efficiency < one_at_a_time.d_efficiency < 0.975
 
 
+@pytest.mark.prove
 def test_each_criterion_is_best_at_its_own() -> None:
     e = experiment(STATIC)
     found = {c: design(e, 10, c, rng(), starts=3) for c in CRITERIA}
@@ -314,6 +315,7 @@ def test_motions_tell_what_they_turn_about(nothing_yet: Plan) -> None:
                ).items() if e == "gyro_scale")  # fmt: skip
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("heading_sigma", [None, math.radians(5.0)], ids=["alone", "heading"])
 def test_what_is_promised_is_what_the_filter_then_says(heading_sigma: float | None) -> None:
     """The motion itself, recorded without noise and calibrated at the same levels."""
@@ -361,6 +363,7 @@ def test_after_a_recording_nothing_becomes_less_certain() -> None:
     assert sentences(known)[0] == known.best.motion.sentence
 
 
+@pytest.mark.prove
 def test_after_a_recording_with_a_magnetometer() -> None:
     """Its iron is in every fit, so it is in what a motion would tell too."""
     like_mag = np.tile([0.0, 2e-5, -4e-5], (250, 1))

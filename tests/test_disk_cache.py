@@ -101,6 +101,7 @@ print(outer(2), outer.stats.cache_hits, one.twice(3))
 """
 
 
+@pytest.mark.prove
 def test_a_function_that_others_call_is_also_called_from_python(tmp_path: Path) -> None:
     (tmp_path / "one.py").write_text(SOURCE + "\n\ndef outer(x):\n    return twice(x) + 1\n")
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
@@ -128,6 +129,7 @@ print(njit(one.outer)(3), "numba.np.arrayobj" in sys.modules)
 """
 
 
+@pytest.mark.prove
 def test_what_is_kept_runs_without_what_compiled_it(tmp_path: Path) -> None:
     """Of functions of numba's own modules, here those that make an array."""
     text = "import numpy as np\n\ndef outer(x):\n    return np.full((x, x), 2.0).sum()\n"
@@ -179,6 +181,7 @@ print(*so3.matrix_exp(angles).ravel())
 """
 
 
+@pytest.mark.prove
 def test_another_release_of_numba_compiles_as_it_does(tmp_path: Path) -> None:
     """What is private to numba is asked of releases on which it was tried, and of no other."""
     angles = np.array([0.1, -0.2, 0.3])

@@ -159,23 +159,21 @@ def test_files_that_the_documents_name_exist(page):
     assert missing == []
 
 
-# Of each notebook, what its outputs have to say; one that takes long is run by `make prove`.
+# Of each notebook, what its outputs have to say.
 NOTEBOOKS = {
     "python": ("gyro scale", "image/png"),
     "conceal": ("nothing_missing", "gyro scale error", "accelerometer delay", "image/png"),
     "heading": ("Gyro bias, deg/h", "bound, deg/h", "image/png"),
     "own-effect": ("rectifies the turning about x", "image/png"),
 }
-SLOW = ("python", "conceal", "heading")
 
 
 def test_every_notebook_is_run():
     assert {p.stem for p in (ROOT / "docs").glob("*.ipynb")} == set(NOTEBOOKS)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.prove) if n in SLOW else n for n in NOTEBOOKS]
-)
+@pytest.mark.prove
+@pytest.mark.parametrize("name", NOTEBOOKS)
 def test_the_notebook_runs(name):
     """Every cell, from the first to the last; and it shows what it is about."""
     page = made("make_notebook").executed(ROOT / "docs" / f"{name}.ipynb")

@@ -4,6 +4,7 @@ import dataclasses
 from importlib.metadata import version
 
 import pytest
+from proved import proved
 from typer.testing import CliRunner
 
 import handcal
@@ -24,7 +25,7 @@ def test_a_sound_installation_works_and_its_versions_are_shown():
         assert f"  {extra}" in done.stdout
 
 
-@pytest.mark.parametrize("error", [0.01, float("nan")])
+@pytest.mark.parametrize("error", [0.01, *proved(float("nan"))])
 def test_a_wrong_number_fails(monkeypatch, error):
     """One gyro scale error off by 1 %, or no number at all."""
     sound = handcal.calibrate

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.spatial.transform import Rotation
 from settled import solve
 from worlds import injected, recording_of, true_levels
@@ -667,7 +668,7 @@ def with_reference(rng):
 
 def good_heading(rng):
     """A heading of half a degree (a camera's), so that a short recording tells enough."""
-    phone = consumer_phone(rng)
+    phone = with_rate(consumer_phone(rng), 50.0)
     clocking = Clocking(50.0, phone.heading.clocking.phase_s)
     return replace(
         phone, heading=replace(phone.heading, sigma=math.radians(0.5), clocking=clocking)
@@ -695,72 +696,60 @@ TRIALS = [
     ("gyro_misalignment", "free-hand", good_heading, "heading", 1.0),
     ("accel_scale", "free-hand", good_heading, "heading", 1.0),
     ("accel_misalignment", "free-hand", good_heading, "heading", 1.0),
-    ("accel_delay", "free-hand", good_heading, "heading", 0.2),
+    *proved(("accel_delay", "free-hand", good_heading, "heading", 0.2)),
     ("accel_delay", "free-hand", good_heading, "heading", 1.0),
-    ("heading_delay", "free-hand", good_heading, "heading", 0.15),
+    *proved(("heading_delay", "free-hand", good_heading, "heading", 0.15)),
     ("heading_delay", "free-hand", good_heading, "heading", 1.0),
-    ("heading_delay", "free-hand", with_magnetometer, "mag", 0.15),
+    *proved(("heading_delay", "free-hand", with_magnetometer, "mag", 0.15)),
     ("lever_arm", "free-hand", good_heading, "heading", 1.0),
-    pytest.param("lever_arm", "free-hand", with_pose, "pose", 1.0, marks=pytest.mark.prove),
-    ("lever_arm", "free-hand", with_reference, "reference", 1.0),
-    pytest.param(
-        "clock_rate", "free-hand", with_reference, "reference", 1.0, marks=pytest.mark.prove
-    ),
-    pytest.param(
-        "clock_rate", "free-hand", with_reference, "reference", 3.0, marks=pytest.mark.prove
-    ),
-    pytest.param(
-        "gyro_misalignment", "free-hand", with_reference, "reference", 1.0, marks=pytest.mark.prove
-    ),
+    *proved(("lever_arm", "free-hand", with_pose, "pose", 1.0)),
+    *proved(("lever_arm", "free-hand", with_reference, "reference", 1.0)),
+    *proved(("clock_rate", "free-hand", with_reference, "reference", 1.0)),
+    *proved(("clock_rate", "free-hand", with_reference, "reference", 3.0)),
+    *proved(("gyro_misalignment", "free-hand", with_reference, "reference", 1.0)),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
     ("pose_scale", "free-hand", with_pose, "pose", 1.0),
-    pytest.param(
-        "mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1, marks=pytest.mark.prove
-    ),
+    *proved(("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1)),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 1.0),
-    ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 3.0),
+    *proved(("mag_hard_iron", "free-hand", with_magnetometer, "mag", 3.0)),
     ("gyro_g_sensitivity", "free-hand", good_heading, "heading", 1.0),
     ("gyro_quadratic", "free-hand", good_heading, "heading", 1.0),
     ("gyro_cross_products", "free-hand", good_heading, "heading", 1.0),
     ("accel_cross_products", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "accel_cross_products", "free-hand", with_pose, "pose", 1.0, marks=pytest.mark.prove
-    ),
+    *proved(("accel_cross_products", "free-hand", with_pose, "pose", 1.0)),
     ("accel_asymmetry", "free-hand", good_heading, "heading", 1.0),
     ("size_effect", "free-hand", good_heading, "heading", 1.0),
-    pytest.param("size_effect", "free-hand", with_pose, "pose", 1.0, marks=pytest.mark.prove),
+    *proved(("size_effect", "free-hand", with_pose, "pose", 1.0)),
     ("gyro_temperature", "free-hand", with_thermometer, "heading temperature", 1.0),
     ("accel_temperature", "free-hand", with_thermometer, "heading temperature", 1.0),
-    ("gyro_bandwidth", "free-hand", good_heading, "heading", 0.2),
+    *proved(("gyro_bandwidth", "free-hand", good_heading, "heading", 0.2)),
     ("gyro_bandwidth", "free-hand", good_heading, "heading", 1.0),
-    ("gyro_bandwidth", "free-hand", fast_with_pose, "pose", 10.0),
+    *proved(("gyro_bandwidth", "free-hand", fast_with_pose, "pose", 10.0)),
     ("gravity", "free-hand", good_heading, "heading", 1.0),
     ("earth_rate", "free-hand", quiet_gyro, "heading", 1.0),
     ("clock_rate", "free-hand", with_pose, "pose", 1.0),
-    pytest.param("clock_rate", "free-hand", with_pose, "pose", 10.0, marks=pytest.mark.prove),
+    *proved(("clock_rate", "free-hand", with_pose, "pose", 10.0)),
     ("heading_hard_iron", "free-hand", good_heading, "heading", 1.0),
     ("heading_soft_iron", "free-hand", good_heading, "heading", 1.0),
-    pytest.param(
-        "mag_soft_iron", "free-hand", with_magnetometer, "mag", 0.3, marks=pytest.mark.prove
-    ),
+    *proved(("mag_soft_iron", "free-hand", with_magnetometer, "mag", 0.3)),
     ("mag_soft_iron", "free-hand", with_magnetometer, "mag", 1.0),
     ("heading_drift", "free-hand", good_heading, "heading", 1.0),
-    ("heading_drift", "free-hand", with_magnetometer, "mag", 1.0),
+    *proved(("heading_drift", "free-hand", with_magnetometer, "mag", 1.0)),
 ]
-SEEDS = (0, pytest.param(1, marks=pytest.mark.prove))
+SEEDS = (0, *proved(1))
 LONGER = {"earth_rate": 84.0}
 # id, levels, how many times too large or too small each may be found: 84 s hold some twenty
 # independent moments of noise that is remembered for 3 s, or of a walk
 NOISE_TRIALS = [
     ("gyro_bias_walk", [1e-3], [1.5]),
-    ("accel_bias_walk", [1e-2], [1.5]),
-    ("heading_correlated_noise", [0.05, 3.0], [1.5, 2.0]),
+    *proved(("accel_bias_walk", [1e-2], [1.5])),
+    *proved(("heading_correlated_noise", [0.05, 3.0], [1.5, 2.0])),
 ]
 
 
 def test_every_effect_is_on_trial():
     tried = {getattr(trial, "values", trial)[0] for trial in TRIALS}
-    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY)
+    tried |= {getattr(t, "values", t)[0] for t in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY)
     tried |= {"pose_drift", "mag_gradient"}
     assert tried == {i for i in IDS if not catalogue()[i].baseline}
 
@@ -787,13 +776,9 @@ def as_seen(world, name, truth):
     )
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize(("name", "motion", "phone", "stream", "priors"), TRIALS)
-def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, priors, seed):
-    """Concealed; found within 4 of its own sigmas, which are sharper than the prior.
-
-    The chance of a false alarm is 6e-5 for each of some 60 parameters.
-    """
+def trial(name, motion, phone, stream, priors, seed):
+    """Truth, recording, noise levels and how many sigmas it may be off: 4, of which the chance of
+    a false alarm is 6e-5 for each of some 60 parameters."""
     effect = catalogue()[name]
     rng = np.random.default_rng(1000 + seed)
     size = priors * effect.prior_sigma * rng.uniform(0.7, 1.3, len(effect.parameters))
@@ -802,26 +787,45 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
     duration = LONGER.get(name, 32.0)
     world = simulate(motion, seed=seed, phone=phone, duration_s=duration, effects={name: truth})
     np.testing.assert_allclose(injected(world, name), truth)
-    recording = recording_of(world, *stream.split())
     # A turning hand's sway is not quite the process that it is taken for, and an arm shows it: six
     # seeds scattered by 1.3 sigma, 1.7 at the true levels (explain widens an arm's sigmas).
     swung = name in ("lever_arm", "size_effect") and stream == "heading"
     levels, most = ({}, 6.0) if swung else (true_levels(world), 4.0)
+    return as_seen(world, name, truth), recording_of(world, *stream.split()), levels, most
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "motion", "phone", "stream", "priors"), TRIALS)
+def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, priors, seed):
+    """Within its own sigmas, which are sharper than the prior."""
+    truth, recording, levels, most = trial(name, motion, phone, stream, priors, seed)
     found = calibrate(recording, [name], assume="fixed-point", noise=levels, only=True)
-    for parameter, value in zip(effect.parameters, as_seen(world, name, truth), strict=True):
+    for parameter, value in zip(catalogue()[name].parameters, truth, strict=True):
         got = found.parameter(name, parameter.name)
         assert got.unit == parameter.unit
         assert abs(got.value - value) < most * got.sigma, (parameter.name, got, value)
         assert got.sigma < parameter.prior_sigma
         assert got.shown
-    if effect.common:  # (beside all else that a device has, it is as far off as is said)
-        beside = calibrate(recording, assume="fixed-point", noise=levels)
-        for parameter, value in zip(effect.parameters, as_seen(world, name, truth), strict=True):
-            got = beside.parameter(name, parameter.name)
-            assert abs(got.value - value) < most * got.sigma, (parameter.name, got, value)
-            assert got.sigma > found.parameter(name, parameter.name).sigma * 0.9
 
 
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "motion", "phone", "stream", "priors"), TRIALS)
+def test_beside_all_else_that_a_device_has_it_is_as_far_off_as_is_said(
+    name, motion, phone, stream, priors, seed
+):
+    if not catalogue()[name].common:
+        pytest.skip("no error that every device has")
+    truth, recording, levels, most = trial(name, motion, phone, stream, priors, seed)
+    alone = calibrate(recording, [name], assume="fixed-point", noise=levels, only=True)
+    beside = calibrate(recording, assume="fixed-point", noise=levels)
+    for parameter, value in zip(catalogue()[name].parameters, truth, strict=True):
+        got = beside.parameter(name, parameter.name)
+        assert abs(got.value - value) < most * got.sigma, (parameter.name, got, value)
+        assert got.sigma > alone.parameter(name, parameter.name).sigma * 0.9
+
+
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_field_that_changes_with_place_comes_back(seed):
     """Shown by the arm at whose end the device is, which is unknown too."""
@@ -842,9 +846,7 @@ def test_a_field_that_changes_with_place_comes_back(seed):
         assert got.sigma < 0.2 * parameter.prior_sigma
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2, 3))]
-)
+@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
 def test_a_step_comes_back_from_the_best_of_its_moments(seed):
     """About each moment in turn, as explain does; then settled about the best of them."""
     name, rng = "gyro_bias_step", np.random.default_rng(1000 + seed)
@@ -912,6 +914,7 @@ def noisy_world(seed, effects, seconds=84.0):
     return world, recording_of(world, "heading")
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "truth", "factors"), NOISE_TRIALS)
 def test_noise_that_the_simulator_injects_comes_back(name, truth, factors, seed):
@@ -955,6 +958,7 @@ def test_a_world_that_wanders_comes_back(seed):
     assert found.log_evidence > without.log_evidence + 20.0
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("name", "truth", "factors"), NOISE_TRIALS[:1])
 def test_noise_that_is_not_there_is_not_found(name, truth, factors):  # noqa: ARG001
     """Far below what would be noticed, and no worse than without."""

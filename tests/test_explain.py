@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 import schemas
 from fake_explanation import fake_explanation
-from worlds import injected, recording_of
+from proved import proved
+from worlds import injected, recording_of, slow
 
 import handcal
 import handcal.types
@@ -26,17 +27,9 @@ from handcal.explanation import VERDICTS, Missing
 from handcal.show.explanation.document import explanation_json
 from handcal.types import Parameter, Recording, Series
 from handcal_sim import simulate, write
-from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 from handcal_sim.scenario import World
 
 ARM = {"lever_arm": [0.05, -0.04, 0.06]}
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    """A consumer's phone that reads fifty times a second, its heading ten times."""
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def world_of(effects: Mapping[str, Sequence[float]], seed: int = 0, seconds: float = 30.0) -> World:
@@ -76,7 +69,7 @@ def only(explanation: Explanation, effect: str) -> Missing:
 # --- nothing, one, several ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_nothing_is_missing(seed: int) -> None:
     world = world_of({}, seed)
     found = explained(world)
@@ -91,6 +84,7 @@ def test_nothing_is_missing(seed: int) -> None:
     assert all(h.verdict == "" and h.probability < 0.5 for h in found.hypotheses)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("effect", "values", "channels"),
     [
@@ -125,6 +119,7 @@ def test_one_effect_is_named_and_measured(
     assert total[-1] > 0.5 * missing.log_evidence_gain
 
 
+@pytest.mark.prove
 def test_a_walking_bias() -> None:
     found = explained(world_of({"gyro_bias_walk": [5e-3]}, seconds=20.0))
     (density,) = only(found, "gyro_bias_walk").parameters
@@ -133,6 +128,7 @@ def test_a_walking_bias() -> None:
     assert density.sigma < 0.5 * density.value
 
 
+@pytest.mark.prove
 def test_headings_that_point_anywhere() -> None:
     """The share that was drawn: 0.15 of 301, whatever their own binomial says."""
     found = explained(world_of({"heading_outliers": [0.15]}))
@@ -146,6 +142,7 @@ def test_headings_that_point_anywhere() -> None:
     assert abs(share.value - 0.15) < 4.0 * math.hypot(share.sigma, math.sqrt(0.15 * 0.85 / 301))
 
 
+@pytest.mark.prove
 def test_physics_that_nobody_named_is_found_as_a_formula() -> None:
     """The accelerometer feels turning times force: rms 0.15 m/s^2, as the true motion has it."""
     world = world_of({}, seconds=40.0)
@@ -176,6 +173,7 @@ def together(two: list[World]) -> Explanation:
     return explain([recording_of(w, "heading") for w in two])
 
 
+@pytest.mark.prove
 def test_two_recordings_share_the_effect_and_keep_their_biases(
     two: list[World], together: Explanation
 ) -> None:
@@ -195,6 +193,7 @@ def test_two_recordings_share_the_effect_and_keep_their_biases(
         assert p.sigma < q.sigma
 
 
+@pytest.mark.prove
 def test_json_of_two_recordings_has_shared_parameters_apart(together: Explanation) -> None:
     document = explanation_json(together)
     schemas.check(document)
@@ -204,6 +203,7 @@ def test_json_of_two_recordings_has_shared_parameters_apart(together: Explanatio
     assert len(document["recordings"]) == 2
 
 
+@pytest.mark.prove
 def test_another_recording_is_predicted_better_with_what_was_found(two: list[World]) -> None:
     """The second, of the same device; and no better where nothing was found."""
     scored = [recording_of(two[1], "heading")]
@@ -224,6 +224,7 @@ def test_another_recording_is_predicted_better_with_what_was_found(two: list[Wor
 # --- readings that are none --------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_saturated_readings_are_no_evidence() -> None:
     """A gyro that clips at four fifths of the fastest turn: some forty readings, in which the
     device turns on unmeasured."""
@@ -388,6 +389,7 @@ def test_help_explains(main: Callable) -> None:
 # --- options -----------------------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_stream_can_be_ignored() -> None:
     """Without the heading, what only the heading shows is not on trial."""
     recording = recording_of(world_of({"heading_delay": [0.2]}), "heading")
@@ -396,6 +398,7 @@ def test_a_stream_can_be_ignored() -> None:
     assert not {h.effect for h in found.hypotheses if h.effect.startswith("heading")}
 
 
+@pytest.mark.prove
 def test_readings_too_few_to_say_anything(two: list[World]) -> None:
     """A stream of a few headings is left out with a word, as ``calibrate`` does."""
     recording = recording_of(two[0], "heading")

@@ -5,14 +5,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from proved import proved
 from worlds import recording_of
 
 from handcal import calibrate
 from handcal.explain import explain
 from handcal_sim import simulate
 
+pytestmark = pytest.mark.prove
 
-@pytest.mark.prove
+
 @pytest.mark.parametrize("seed", range(3))
 def test_an_arm_that_tires_is_no_walking_bias(seed: int) -> None:
     """It drifts by 7 cm within tens of seconds: five of five were named a walk of the
@@ -22,7 +24,6 @@ def test_an_arm_that_tires_is_no_walking_bias(seed: int) -> None:
     assert (found.verdict, found.missing, found.unnamed) == ("nothing_missing", (), ())
 
 
-@pytest.mark.prove
 @pytest.mark.parametrize("seed", range(2))
 def test_an_effect_is_found_in_an_arm_that_tires(seed: int) -> None:
     scale = np.array([0.008, -0.012, 0.01])
@@ -35,7 +36,7 @@ def test_an_effect_is_found_in_an_arm_that_tires(seed: int) -> None:
         assert abs(p.value - wanted) < 4.0 * p.sigma
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_device_carried_about_is_judged_by_its_rests(seed: int) -> None:
     """As a held point it would sway by a quarter of a metre, and a walk, a scale or a formula was
     named for it; what was assumed is told."""
@@ -46,7 +47,6 @@ def test_a_device_carried_about_is_judged_by_its_rests(seed: int) -> None:
     assert (found.verdict, found.missing, found.unnamed) == ("nothing_missing", (), ())
 
 
-@pytest.mark.prove
 @pytest.mark.parametrize("seed", range(3))
 def test_a_step_that_looks_like_a_wide_sway(seed: int) -> None:
     """A step of the gyro's bias with a heading whose noise lasts: the first noise levels were
@@ -75,7 +75,6 @@ def test_a_scale_error_of_a_fifth(seed: int) -> None:
         assert abs(got.value - wanted) < 4.0 * got.sigma
 
 
-@pytest.mark.prove
 @pytest.mark.parametrize("seed", range(3))
 def test_a_whole_error_budget_is_no_travelling_hand(seed: int) -> None:
     """Integrated, ten errors lead away from any point: half of them went unseen where the hand was

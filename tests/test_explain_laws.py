@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_explain import slow
-from worlds import climbed_from, likeliest_laws, recording_of
+from proved import proved
+from worlds import climbed_from, likeliest_laws, recording_of, slow
 
 from handcal import user_effects
 from handcal.effects import Effect, Signals, imu_jacobian, select
@@ -145,7 +145,7 @@ def as_far_as_it_goes(
     return model, effect
 
 
-@pytest.mark.parametrize("begun", [0.0, -0.05])
+@pytest.mark.parametrize("begun", [0.0, *proved(-0.05)])
 def test_a_place_at_zero_is_adjusted(begun: float) -> None:
     """In proportion to itself it would stay there."""
     true = (0.6, 1.0)
@@ -370,9 +370,10 @@ def held(seed: int, seconds: float, error: Callable[[Imu], Array]) -> Recording:
     return replace(recording, imu=read)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("seed", "seconds"),
-    [(0, 40.0), *(pytest.param(k, 40.0, marks=pytest.mark.prove) for k in range(1, 3))],
+    [(0, 40.0), *proved(*((k, 40.0) for k in range(1, 3)))],
 )
 def test_a_law_of_two_axes_is_not_told_of_the_third(seed: int, seconds: float) -> None:
     """Found as a law of all three, each with a constant of its own; without the step that puts it
@@ -410,11 +411,18 @@ def test_a_course_is_chosen_again_beside_what_came_after_it(seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "begun", "true"),
-    [("while", (9.6, 21.4), (9.37, 21.64)), ("switched", (11.1, 2.3, 4.2), (10.83, 2.51, 3.97))],
+    [
+        ("while", (9.6, 21.4), (9.37, 21.64)),
+        *proved(("switched", (11.1, 2.3, 4.2), (10.83, 2.51, 3.97))),
+    ],
 )
 # (a heading of 5 deg of noise on the wrong side of an edge of 0.3 rad)
 @pytest.mark.parametrize(
-    ("channel", "nats"), [("gyro_x", 1.0), ("heading", 0.5 * (0.3 / np.radians(5.0)) ** 2)]
+    ("channel", "nats"),
+    [
+        ("gyro_x", 1.0),
+        *proved(("heading", 0.5 * (0.3 / np.radians(5.0)) ** 2)),
+    ],
 )
 def test_the_numbers_of_a_course_are_told_nearer_than_its_grid(
     kind, begun, true, channel, nats
@@ -489,6 +497,7 @@ def size_alone() -> tuple[Model, Effect]:
     return base, law_effect.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
 
 
+@pytest.mark.prove
 def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     """Each of them alone may gain something beside the others; the law needs none."""
     base, law = size_alone
@@ -497,6 +506,7 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     assert climbed_from(many, base.ids).ids == (*base.ids, law.id)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("name", "size"), [("omega_{j} * f_{k}", 2e-3), ("f_{i} * t", 3e-5)])
 def test_the_best_law_of_a_long_recording_is_the_one_that_is_there(name: str, size: float) -> None:
     """A first part decided what is asked about it, and does not show what is slow."""
@@ -510,7 +520,14 @@ def test_the_best_law_of_a_long_recording_is_the_one_that_is_there(name: str, si
     assert law.id == f"gyro_z += k * {driver.said(2)}"
 
 
-@pytest.mark.parametrize(("place", "width"), [(0.43, 0.05), (-0.7, 0.12), (1.1, 0.03)])
+@pytest.mark.parametrize(
+    ("place", "width"),
+    [
+        (0.43, 0.05),
+        *proved((-0.7, 0.12)),
+        *proved((1.1, 0.03)),
+    ],
+)
 def test_a_rise_is_told_with_its_place_and_its_width(place: float, width: float) -> None:
     """About neither is what is tried first right, and neither alone leads there: between places on
     trial a wide rise is the likelier one, and it narrows as it comes nearer. (Thirty samples and
@@ -534,6 +551,7 @@ def test_a_rise_is_told_with_its_place_and_its_width(place: float, width: float)
     assert rise.form.numbers == pytest.approx((place, width), rel=0.25, abs=0.03)
 
 
+@pytest.mark.prove
 def test_a_law_comes_with_the_name_that_it_needs() -> None:
     """A gain that drifts is a product with the time and a scale error. Noise that goes with the
     motion holds both, and no half of it alone is worth as much."""
@@ -545,6 +563,7 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
 
 
+@pytest.mark.prove
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     """Far from where it is large, a scan likes to give some of it to the other axes."""
     base = baseline([case_of(strange("gyro", friction))])
@@ -556,6 +575,7 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     assert (law.sensor, law.axes) == (0, (2,))
 
 
+@pytest.mark.prove
 def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:
     base, straight = size_alone
     over = Range(0.0, 4.0, 4.0)

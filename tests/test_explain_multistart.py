@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,9 +19,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.prior_scales import LOG_SHARES, SCALES
 from handcal.estimate.quadratic import Quadratic
 from handcal.model_score import PRIOR
-from handcal.search import climb
 from handcal.search.beyond_columns import akin
-from handcal.search.budget import Budget
 from handcal.search.candidates import scanned_about
 from handcal.search.space import (
     Space,
@@ -261,7 +258,9 @@ def test_rivals_are_compared_in_one_place() -> None:
 # --- how much is to be expected ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("chosen", [(), ("b",), ("b", "c")])
+@pytest.mark.parametrize(
+    "chosen", [("b",), *(pytest.param(k, marks=pytest.mark.prove) for k in ((), ("b", "c")))]
+)
 def test_expected_gain_is_the_mean_gain(chosen: tuple[str, ...]) -> None:
     """Over the noise, and over effects in the model of which only the prior is known; 4 sigma
     of the mean of 4000."""
@@ -308,13 +307,3 @@ def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
         odds[stream] = scanned_about(model).prior["size_effect"]
     assert odds["pose"] == PRIOR
     assert odds["heading"] == PRIOR - catalogue()["size_effect"].imitated < PRIOR - 10.0
-
-
-def test_a_climb_goes_on_while_its_steps_lead_higher(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two laws behind errors with the motion take more than twenty steps, the last of which puts
-    the right one in its place."""
-    steps = iter([*range(25), None])
-    monkeypatch.setattr(climb, "_next", lambda *_: next(steps))
-    c = climb.Climb(frozenset(), frozenset(), Budget(), climb.Made())
-    start: Any = None
-    assert climb.climbed(c, start, lambda *_: None) == 24

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.spatial.transform import Rotation
 from worlds import recording_of
 
@@ -121,7 +122,7 @@ def test_what_both_sensors_feel_is_not_on_trial() -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_crooked_gyros_beside_an_arm(seed: int) -> None:
     """The reference's axes were fitted by the turns, and the arm was as crooked as the gyros: a
     size effect was named besides."""
@@ -136,7 +137,7 @@ def test_crooked_gyros_beside_an_arm(seed: int) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("ppm", [150.0, pytest.param(-150.0, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("ppm", [150.0, *proved(-150.0)])
 def test_a_clock_that_runs_fast_beside_a_reference(ppm: float) -> None:
     """At the end the device is 7 ms ahead, nearly half a radian of a tremor."""
 
@@ -153,7 +154,7 @@ def test_a_clock_that_runs_fast_beside_a_reference(ppm: float) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_noise_of_a_faster_reference_sets_no_clock(seed: int) -> None:
     """A polynomial through three moments has less noise at some times than at others; the clock
     was set to those, 10 to 17 % off (14 sigma), with false delays to make up for it."""
@@ -173,7 +174,8 @@ def test_noise_of_a_faster_reference_sets_no_clock(seed: int) -> None:
     assert abs(parameter.value - 100.0) < 4.0 * parameter.sigma
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
     """Slow turns: of the angular acceleration a tenth was noise, and an arm 14 sigma off."""
 
@@ -191,7 +193,7 @@ def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_noise_of_the_gyro_is_no_product_of_rates(seed: int) -> None:
     """Turning about one axis, what the others read is noise, and it is in both: in the residual
     and in the derivative by a product of rates, which was named."""
@@ -211,8 +213,8 @@ def slowly(noise: float, rate_hz: float) -> Callable[[np.random.Generator], Phon
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
-@pytest.mark.parametrize("tau", [pytest.param(0.01, marks=pytest.mark.prove), 0.03])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
+@pytest.mark.parametrize("tau", [*proved(0.01), 0.03])
 def test_a_low_pass_beside_a_reference(tau: float, seed: int) -> None:
     """The reading's derivative was noise for a half, and grew with tau: 3 to 14 sigma too low,
     or a delay, a clock and a scale in its place."""
@@ -227,7 +229,7 @@ def test_a_low_pass_beside_a_reference(tau: float, seed: int) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 2))])
+@pytest.mark.parametrize("seed", [1, *proved(0, 2)])
 def test_accelerometers_apart_in_slow_turns_beside_a_reference(seed: int) -> None:
     """Angular acceleration of the IMU's own gyro, a half of it noise, for these, and of the
     reference's for an arm: that difference, hundreds of nats, was named as an arm."""

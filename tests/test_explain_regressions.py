@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import math
-import weakref
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.stats import chi2
-from worlds import recording_of
+from worlds import recording_of, slow
 
 from handcal import observations
 from handcal.compiled import so3
-from handcal.effects import Effect, Signals, accel_delay, select
-from handcal.estimate import case, fit, noise_levels, observed, pieces
+from handcal.effects import Signals, accel_delay, select
+from handcal.estimate import case, fit, noise_levels
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.calibration import calibrate
-from handcal.estimate.evidence import Reduction, reduce, reduced_pass
+from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted
-from handcal.estimate.linear import Linear, known_linear
+from handcal.estimate.linear import known_linear
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants, moved_to
-from handcal.explain import Explanation, assembled, explain, pipeline
-from handcal.model_score import prior
+from handcal.explain import Explanation, explain
 from handcal.observations import pose
-from handcal.search import climb, outliers
+from handcal.search import outliers
 from handcal.search.climb import raises
 from handcal.search.multistart import astray, leading
 from handcal.types import HandcalError, InputError, Recording, Series
@@ -36,24 +35,15 @@ from handcal_sim import simulate
 from handcal_sim.motion import Start
 from handcal_sim.motion_wild import wild
 from handcal_sim.phone import (
-    Clocking,
     Phone,
     capture_pose,
     consumer_magnetometer,
     consumer_phone,
-    with_rate,
 )
 from handcal_sim.prove import draw
 from handcal_sim.scenario import World
 
 GYRO, ACCEL = {"gyro_scale": [0.01, -0.008, 0.012]}, {"accel_scale": [0.01, -0.008, 0.012]}
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    """A consumer's phone that reads fifty times a second, its heading ten times."""
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def world_of(effects: dict[str, list[float]], seed: int, seconds: float, sway: float = 1.0):
@@ -75,7 +65,7 @@ def names(found: Explanation) -> list[str]:
 # gravity was named beside the scale errors of an accelerometer (free-hand, seed 5, 84 s).
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_what_excites_an_accelerometers_scale_is_not_the_sway(seed: int) -> None:
     """A hand that sways by four times the usual. Of its acceleration, which nobody asked for,
     less than a fifth is in the force that a scale error scales (when it was all there: half to
@@ -94,6 +84,7 @@ def test_what_excites_an_accelerometers_scale_is_not_the_sway(seed: int) -> None
     assert abs(float((excites * sway).sum() / (sway**2).sum())) < 0.2
 
 
+@pytest.mark.prove
 def test_gravity_is_not_named_beside_an_accelerometers_scale() -> None:
     found = explain([recording_of(world_of(ACCEL, 5, 30.0), "heading")])
     assert (found.verdict, names(found)) == ("explained", ["accel_scale"])
@@ -120,17 +111,6 @@ def test_a_gyros_noise_is_no_alibi_for_its_scale() -> None:
     assert 0.55 < whole <= 1.0
 
 
-@pytest.mark.prove
-def test_nothing_is_explained_by_a_gyros_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Looked at ten times a second, as it was then: with a gyro that might be as noisy as it
-    takes, nothing was missing."""
-    monkeypatch.setattr(observed, "PSEUDO_RATE", 10.0)
-    found = explain([recording_of(world_of(GYRO, 1, 60.0), "heading")])
-    # (the shape of the hand's sway within a third of a second, which is seen then, has no name)
-    assert found.verdict in ("explained", "unexplained")
-    assert names(found) == ["gyro_scale"]
-
-
 # --- a burst of wrong headings -----------------------------------------------------------------
 
 
@@ -148,7 +128,8 @@ def with_a_burst(seed: int, off: float | None = None) -> Recording:
     return replace(recording, streams={"heading": Series(heading.t, value)})
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_burst_of_wrong_headings_is_no_share_of_outliers(seed: int) -> None:
     """Something happened there, and no known effect stands in for it. (At the ends some of
     the readings come while body x is near the vertical, and count for nothing.)"""
@@ -160,6 +141,7 @@ def test_a_burst_of_wrong_headings_is_no_share_of_outliers(seed: int) -> None:
     assert end == pytest.approx(14.5, abs=0.75)
 
 
+@pytest.mark.prove
 def test_headings_that_are_off_for_a_while_are_unexplained() -> None:
     """All by the same 70 degrees: that is not random, and no correlated noise either."""
     found = explain([with_a_burst(1, off=1.2)])
@@ -170,6 +152,7 @@ def test_headings_that_are_off_for_a_while_are_unexplained() -> None:
 # --- a pose that cannot be used ----------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_marker_that_cannot_be_aligned_is_left_out() -> None:
     """A turn about one axis does not show how the marker sits: a word, no crash."""
 
@@ -210,7 +193,8 @@ def test_a_hand_that_wobbles_while_it_turns_shows_how_the_marker_sits(seed: int)
 # says nothing of one radian, and the magnetic disturbance came to hold it.
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_delay_of_more_than_a_radian(seed: int) -> None:
     def filmed(rng: np.random.Generator) -> Phone:
         return replace(
@@ -232,9 +216,7 @@ def test_a_delay_of_more_than_a_radian(seed: int) -> None:
 # beside delays every third came out backwards in time.
 
 
-@pytest.fixture(
-    scope="module", params=[0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2))]
-)
+@pytest.fixture(scope="module", params=[0, *proved(1, 2)])
 def smoothed(request: pytest.FixtureRequest) -> Recording:
     def filmed(rng: np.random.Generator) -> Phone:
         return replace(consumer_phone(rng), pose=capture_pose(rng))
@@ -244,6 +226,7 @@ def smoothed(request: pytest.FixtureRequest) -> Recording:
     return recording_of(world, "heading", "pose")
 
 
+@pytest.mark.prove
 def test_a_filter_beside_delays_is_not_backwards_in_time(smoothed: Recording) -> None:
     found = calibrate(smoothed, ["gyro_bandwidth", "accel_delay", "pose_delay"])
     tau = next(p for p in found.parameters if p.name == "tau")
@@ -259,6 +242,7 @@ def test_a_filter_is_found_behind_delays(smoothed: Recording) -> None:
 # --- arms that nobody has ----------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_hands_sway_is_not_mistaken_for_an_arm() -> None:
     """Twelve hands and nothing missing: the three parameters of a lever arm, standardised, have
     the squares that chance allows (36 in the mean, less than 77 in 9999 of 10000), and so have
@@ -278,7 +262,8 @@ def test_a_hands_sway_is_not_mistaken_for_an_arm() -> None:
     assert min(squares["lever_arm"] / 3, squares["size_effect"] / 9) > 0.4 * seeds
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_beside_a_step_of_the_bias_there_is_no_arm(seed: int) -> None:
     """Steps of 0.3 deg/s in the middle."""
     truth = [0.005, -0.005, 0.004, 20.0]
@@ -324,9 +309,7 @@ def test_a_slow_gyro_is_no_early_heading() -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "seed", [2, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 1, 3))]
-)
+@pytest.mark.parametrize("seed", [2, *proved(0, 1, 3)])
 def test_what_only_sway_tells_apart_is_one_set(seed: int) -> None:
     """A slow gyro or an early accelerometer, in a turn about one axis: evidence is for one of
     them by seven nats with this hand (seed 2), whichever it is."""
@@ -383,18 +366,6 @@ def test_a_fit_leaves_nothing_of_its_own_in_what_it_was_handed() -> None:
     assert (given.evidence, handed_on) == (alone.evidence, [])
 
 
-def test_no_noise_is_looked_for_about_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search for noise levels about numbers that had run away ended explain in an error."""
-    base = base_of(world_of({}, 0, 20.0))
-    monkeypatch.setattr(
-        fit,
-        "relinearised_parts",
-        lambda *_, **__: fit.Rested(list(base.parts), False, math.nan, fit.ROUGH),
-    )
-    monkeypatch.setattr(fit, "with_noise", lambda *_: pytest.fail("noise of no fit"))
-    assert fitted(base.parts, (), noise_rounds=1).log_evidence == -math.inf
-
-
 def test_numbers_that_ran_away_have_no_evidence() -> None:
     """A pass whose variances overflow ended explain in a LinAlgError."""
     (part,) = base_of(world_of({}, 0, 20.0)).parts
@@ -419,22 +390,6 @@ def test_what_swings_by_more_than_it_gains_is_not_likelier() -> None:
     assert not raises(base, replace(better, u=1e3 * better.u), 0.5)
 
 
-def test_a_fit_keeps_one_reduction_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A round's is of no use to the next, and as large as what that makes."""
-    base = base_of(world_of(GYRO, 0, 20.0))
-    made: list[weakref.ref[Reduction]] = []
-
-    def watched(linear: Linear) -> Reduction:
-        assert [r for r in made if r() is not None] == []
-        out = reduce(linear)
-        made.append(weakref.ref(out))
-        return out
-
-    monkeypatch.setattr(pieces, "reduce", watched)
-    fitted(base.parts, select(["gyro_scale", "accel_scale"]))
-    assert len(made) > 2
-
-
 @pytest.mark.prove
 def test_outliers_behind_a_step_of_the_bias() -> None:
     """The step bends the baseline until no heading is believed, and none of them stands out; then
@@ -443,28 +398,6 @@ def test_outliers_behind_a_step_of_the_bias() -> None:
     world = simulate("z-turn", seed=0, duration_s=45.0, phone=slow, effects=step)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, sorted(names(found))) == ("explained", sorted(step))
-
-
-@pytest.mark.prove
-def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A scan promised a term, the fit with it lost half a million nats, and the search went on
-    from there: about such a fit, anything may be named."""
-    world = world_of({"gyro_scale": [0.01, -0.008, 0.012]}, seed=0, seconds=40.0)
-    promised: list[str] = []
-
-    def astray(parts: Any, effects: Any, **how: Any) -> Model:
-        model = fitted(parts, effects, **how)
-        return replace(model, log_evidence=-1e6) if "gyro_quadratic" in model.ids else model
-
-    def odds(effect: Effect, cases: Any) -> float:
-        promised.append(effect.id)
-        return 1e4 if effect.id == "gyro_quadratic" else prior(effect, cases)
-
-    monkeypatch.setattr(climb, "fitted", astray)
-    monkeypatch.setattr(climb, "prior", odds)
-    found = explain([recording_of(world, "heading")])
-    assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
-    assert "gyro_quadratic" in promised
 
 
 def test_readings_where_there_is_no_heading_do_not_stand_out() -> None:
@@ -490,7 +423,8 @@ def test_readings_where_there_is_no_heading_do_not_stand_out() -> None:
     assert outliers.standing_out(spoilt(flat & (np.arange(len(up)) % 9 == 0))) is not None
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(1)])
 def test_a_magnetometers_outliers_are_outliers(seed: int) -> None:
     """Once left out, readings of a field were not judged again, and all were put back: an iron
     and correlated noise were named."""
@@ -515,32 +449,13 @@ def test_readings_that_ran_away_have_no_delayed_readings() -> None:
     assert not error[:, :3].any()
 
 
-def test_what_no_device_has_is_no_end_of_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A real phone had soft iron of 0.7 and an arm of 0.6 m: the search ended below what makes
-    sense, the final fit of its model beyond."""
-    world = world_of({"lever_arm": [0.05, -0.04, 0.03]}, 0, 12.0)
-    recording = recording_of(world, "heading")
-
-    def large(model: Model) -> set[str]:
-        return {"lever_arm"} & set(model.ids)
-
-    for module in (pipeline, assembled):
-        monkeypatch.setattr(module, "too_large", large)
-    monkeypatch.setattr(pipeline, "sensible", lambda model: not large(model))
-    found = explain([recording])
-    assert "lever_arm" not in names(found)
-    assert found.model is not None
-    assert "lever_arm" not in {e.id for e in found.model.effects}
-    monkeypatch.setattr(pipeline, "sensible", lambda _: False)
-    assert any("Larger than in any real device" in w for w in explain([recording]).warnings)
-
-
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "effect",
     [
         {"gyro_scale": [0.0, 0.01, 0.0]},
-        pytest.param({"gyro_misalignment": [0, 0, 0.01, 0, 0, 0]}, marks=pytest.mark.prove),
-        pytest.param({"accel_scale": [0.0, 0.0, 0.01]}, marks=pytest.mark.prove),
+        *proved({"gyro_misalignment": [0, 0, 0.01, 0, 0, 0]}),
+        *proved({"accel_scale": [0.0, 0.0, 0.01]}),
     ],
 )
 def test_an_error_of_one_axis_has_its_name(effect: dict[str, list[float]]) -> None:
@@ -551,6 +466,7 @@ def test_an_error_of_one_axis_has_its_name(effect: dict[str, list[float]]) -> No
     assert found.unnamed == ()
 
 
+@pytest.mark.prove
 def test_where_no_model_fits_the_recording_is_refused() -> None:
     """A gyro that reads 40 deg/s too much, and no rest: the search found nothing to fit, and
     writing its model down ended in a traceback (seen on a drawn ordinary device)."""

@@ -78,13 +78,6 @@ def page(explanation, figures, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def no_figures(monkeypatch):
-    """For what a page says besides."""
-    bare = {section: [] for section in plots.draw(nothing_in_it())}
-    monkeypatch.setattr(plots, "draw", lambda _: bare)
-
-
 def nothing_in_it():
     """An explanation of a recording without traces, evidence or noise."""
     e = fake_explanation("nothing_missing")

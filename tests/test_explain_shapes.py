@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import likeliest_laws, recording_of
+from proved import proved
+from worlds import likeliest_laws, recording_of, slow
 
 from handcal.compiled.jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
@@ -50,13 +51,6 @@ AGAIN = (
     (courses.OVER_TIME[1], np.array([9.0, 17.0, 31.0, 42.0, 60.0, 66.0])),
     (courses.OVER_TIME[6], np.array([9.0, 5.0, 33.0, 58.0])),
 )
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    """A consumer's phone that reads fifty times a second, its heading ten times."""
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def _heading_error(effect: shapes.Effect, k: Array, t: float, yaw: float) -> float:
@@ -113,7 +107,7 @@ def test_an_imu_channels_spline_goes_through_a_bump() -> None:
     assert not error[:, [0, 1, 2, 3, 5]].any()
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
 @pytest.mark.parametrize(("family", "numbers"), [*COURSES, *AGAIN])
 def test_the_planted_course_is_found(family: courses.Family, numbers: Array, seed: int) -> None:
     """What white readings say of a course ten times as large as their noise at each knot."""
@@ -176,7 +170,8 @@ def test_what_passes_by_is_unexplained(sign: float) -> None:
     assert bump.value == pytest.approx(sign * 0.5, abs=4.0 * bump.sigma)
 
 
-@pytest.mark.parametrize("square", [False, True])
+@pytest.mark.prove
+@pytest.mark.parametrize("square", [False, *proved(True)])
 def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
     """A walk or an attitude error stood in for it while a heading saw no thermometer."""
     world = simulate("free-hand", seed=0, duration_s=40.0, phone=warming, effects={})

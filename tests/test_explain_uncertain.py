@@ -142,6 +142,7 @@ def test_a_scale_that_holds_only_without_a_quadratic_error_says_so() -> None:
     assert sentences("free-hand", 60.0, {"gyro_quadratic"}, ["gyro_scale"]) == []
 
 
+@pytest.mark.prove
 def test_a_warning_has_the_sigmas_of_the_table() -> None:
     """Where an effect's scores scatter beyond the information matrix, its sigmas are wider by as
     much in the table of parameters: so they are in the warning."""
@@ -154,6 +155,7 @@ def test_a_warning_has_the_sigmas_of_the_table() -> None:
     assert wider == pytest.approx(2.0 * plain, rel=0.05)  # (two digits)
 
 
+@pytest.mark.prove
 def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> None:
     """Terminal and JSON have the sensor's rate (exports take densities to samples by it), not that
     of the means that were fitted: they had half of it."""

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import schemas
 from fake_explanation import fake_explanation
-from test_explain import slow as at_fifty_hertz
+from proved import proved
 from worlds import recording_of
+from worlds import slow as at_fifty_hertz
 
 from handcal.commands import explain as explain_command
 from handcal.effects import catalogue
@@ -87,9 +88,8 @@ def rings(seed: int, size: float) -> Recording:
     return replace(recording, imu=replace(imu, gyro=imu.gyro + added))
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(n, marks=pytest.mark.prove) for n in (1, 2, 3))]
-)
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
 def test_what_no_law_describes_is_no_walk_and_no_handful_of_names(seed: int) -> None:
     e = explain([rings(seed, 0.05)])
     assert e.verdict == "unexplained"

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from proved import proved
 from sample_recording import START_NS, sample
 
 from handcal.recordings.export import write_mcap
@@ -99,7 +100,13 @@ def test_time_beyond_ros_is_a_sentence(tmp_path: Path) -> None:
         write_mcap(late, tmp_path / "a.mcap")
 
 
-@pytest.mark.parametrize("name", ["broad_06_fast_rotation.mcap", "array_1_imu5.mcap"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "array_1_imu5.mcap",
+        *proved("broad_06_fast_rotation.mcap"),
+    ],
+)
 def test_real_recordings_round_trip(real_recordings: Path, tmp_path: Path, name: str) -> None:
     first = load(real_recordings / name)
     write_mcap(first, tmp_path / name)

@@ -110,6 +110,7 @@ def test_what_is_kept_is_not_made_again_and_what_was_killed_is(tmp_path, monkeyp
     assert count == {"a": 1, "b": 2, "dead": 4 * TRIES, "hung": 2}
 
 
+@pytest.mark.prove
 def test_a_run_that_is_killed_loses_only_what_was_under_way(tmp_path):
     sources = files(tmp_path / "in", **{f"r{i}": f"slow {i}" for i in range(12)})
     out = tmp_path / "out"

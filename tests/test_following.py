@@ -2,7 +2,6 @@
 
 import re
 import shlex
-from collections import defaultdict
 from dataclasses import replace
 from html import unescape
 from io import StringIO
@@ -19,18 +18,13 @@ from handcal.commands.explain import Assume, _typed
 from handcal.device.apply import BIASES_TOO
 from handcal.effects import catalogue, with_effects
 from handcal.estimate.specification import Specification
-from handcal.show.explanation import plots
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.next_commands import applicable, beside, commands
 from handcal.show.explanation.report import render_explanation
 from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Parameter, Series
 
-
-@pytest.fixture(autouse=True)
-def _no_figures(monkeypatch):
-    """Nothing here is about them, and they take most of a page's time."""
-    monkeypatch.setattr(plots, "draw", lambda _: defaultdict(list))
+pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 def understood(line):

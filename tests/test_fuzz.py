@@ -28,10 +28,10 @@ def all_seeds() -> list[Seed]:
 
 
 def test_no_mutation_gets_past_the_sentence() -> None:
-    scores = fuzz(400, seed=0)
+    scores = fuzz(200, seed=0)
     assert {kind: s.failures for kind, s in scores.items() if s.failures} == {}
-    assert sum(s.executions for s in scores.values()) == 400
-    assert sum(s.accepted for s in scores.values()) > 40, "mutations reach no further than checks"
+    assert sum(s.executions for s in scores.values()) == 200
+    assert sum(s.accepted for s in scores.values()) > 20, "mutations reach no further than checks"
 
 
 def test_every_format_of_the_folder_is_attacked(all_seeds: list[Seed]) -> None:

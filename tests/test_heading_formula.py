@@ -29,6 +29,7 @@ def law(driver, *parts):
 
 
 # (of how blunt edges are, those few readings tell that are taken on them)
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("driver", "part", "off"),
     [

@@ -59,6 +59,7 @@ def test_a_needle_lags_behind_the_heading(plain, concealed):
     assert np.std(error) > 3.0 * np.std(left)
 
 
+@pytest.mark.prove
 def test_it_is_estimated(concealed, plain, late):
     for recording, share in ((concealed, SHARE), (plain, 0.0)):
         found = calibrate(recording, (late,), only=True).parameter(late, "k")

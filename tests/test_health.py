@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 
 import handcal
 from handcal.estimate.observed import check_options
@@ -26,7 +27,7 @@ def with_mag(rng):
     return replace(consumer_phone(rng), heading=None, mag=consumer_magnetometer(rng))
 
 
-@pytest.fixture(scope="module", params=["free-hand", "six sides"])
+@pytest.fixture(scope="module", params=["free-hand", *proved("six sides")])
 def shown(request):
     """Stamps, rates and forces, and a magnetometer, in a motion that shows all of them."""
     motion = {"six sides": six_sides}.get(request.param, request.param)
@@ -44,7 +45,7 @@ def test_nothing_is_said_of_a_sound_recording(shown):
     assert read(*shown).warnings == ()
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0, 4.0])
+@pytest.mark.parametrize("factor", [0.5, 4.0])
 def test_another_full_scale_of_the_gyro_is_said_and_nothing_is_estimated(shown, factor):
     t, values, _ = shown
     spoilt = read(t, values * ([factor] * 3 + [1.0] * 3))
@@ -61,7 +62,7 @@ def test_a_wrong_sample_rate_is_said_likewise(shown, factor):
     assert "sample rate" in read(factor * t, values).unfit
 
 
-@pytest.mark.parametrize("factor", [0.25, 0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.25, 2.0])
 def test_another_full_scale_of_the_accelerometer_is_said(shown, factor):
     t, values, _ = shown
     assert f"--units accel=m/s^2/{factor:g}" in read(t, values * ([1] * 3 + [factor] * 3)).unfit
@@ -72,7 +73,7 @@ def test_a_usual_scale_error_is_none(shown):
     assert read(t, values * ([1.06] * 3 + [0.97] * 3)).warnings == ()
 
 
-@pytest.mark.parametrize("k", range(1, 48, 5))
+@pytest.mark.parametrize("k", [1, 33])
 def test_a_magnetometer_on_other_axes_is_turned_and_that_is_said(shown, k):
     t, values, (tm, mag) = shown
     A = SIGNED[k]
@@ -189,7 +190,7 @@ TRUTH = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["bursts", "gap_in_rest"])
+@pytest.mark.parametrize("name", ["bursts", *proved("gap_in_rest")])
 def test_bursts_and_a_gap_cost_a_calibration_nothing(cases, name):
     result = handcal.calibrate(load(cases / f"{name}.csv"))
     for effect, truth in TRUTH.items():
@@ -199,6 +200,7 @@ def test_bursts_and_a_gap_cost_a_calibration_nothing(cases, name):
             assert abs(p.value - true) < 4 * p.sigma, (effect, axis)
 
 
+@pytest.mark.prove
 def test_a_fit_that_leaves_metres_names_nothing(cases):
     recording = load(cases / "gyro_half.csv", units={"gyro": "rad/s"})
     found = handcal.explain(recording, budget=5.0)

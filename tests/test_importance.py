@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_explain import slow
-from worlds import recording_of
+from worlds import recording_of, slow
 
 from handcal.explain import explain
 from handcal.explanation import Explanation
@@ -26,8 +25,12 @@ def _world(seed: int) -> World:
 
 
 @pytest.fixture(scope="module")
-def known() -> tuple[World, Explanation]:
-    world = _world(0)
+def world() -> World:
+    return _world(0)
+
+
+@pytest.fixture(scope="module")
+def known(world) -> tuple[World, Explanation]:
     return world, explain([recording_of(world, "heading")])
 
 
@@ -35,6 +38,7 @@ def _rms(x: Array) -> Array:
     return np.sqrt((x**2).mean(axis=0))
 
 
+@pytest.mark.prove
 def test_a_size_is_what_the_effect_adds_to_the_readings(known) -> None:
     world, e = known
     size = {m.effect: m.size for m in e.missing}
@@ -48,6 +52,7 @@ def test_a_size_is_what_the_effect_adds_to_the_readings(known) -> None:
     assert set(size["gyro_scale"]) == {"gyro_x", "gyro_y", "gyro_z"}
 
 
+@pytest.mark.prove
 def test_shares_order_what_is_missing_and_none_is_more_than_all(known) -> None:
     _, e = known
     shares = [m.share for m in e.missing]
@@ -56,6 +61,7 @@ def test_shares_order_what_is_missing_and_none_is_more_than_all(known) -> None:
     assert all(0.0 < s <= 1.0 for s in shares)
 
 
+@pytest.mark.prove
 def test_unseen_data_agree_with_what_is_there(known) -> None:
     _, e = known
     told = [m.held_out_gain for m in e.missing if m.held_out_gain is not None]
@@ -63,13 +69,14 @@ def test_unseen_data_agree_with_what_is_there(known) -> None:
     assert all(0.0 < g < m.log_evidence_gain for g, m in zip(told, e.missing, strict=False))
 
 
+@pytest.mark.prove
 def test_the_hand_is_said_and_how_surely(known) -> None:
     _, e = known
     assert e.hand.id == "held"
     assert 0.9 < e.hand.probability < 1.0
 
 
-def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
+def test_what_has_no_name_is_drawn_over_what_drives_it(world) -> None:
     """k omega_y^3: a curve of the cube, in the units of what is measured, with its band."""
     from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
@@ -81,7 +88,6 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
         law = law_effect.Law(sensor, (axis,), False, vocabulary.driver_of(driver), shape, (0.01,))
         return law_effect.effect_of(law)
 
-    world, _ = known
     f = baseline([case_of(recording_of(world, "heading"))]).parts[0]
     third = terms.again("heading += k1 * sin(3 yaw) + k2 * cos(3 yaw)", 0.1)
     cases = (
@@ -105,14 +111,13 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
         assert (shown.x_unit, shown.y_unit) == (x_unit, y_unit)
 
 
-def test_every_term_of_the_heading_can_be_drawn(known) -> None:
+def test_every_term_of_the_heading_can_be_drawn(world) -> None:
     """Whatever drives it; a heading that errs with the temperature broke off where it was found."""
     from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
     from handcal.laws import terms
     from handcal.laws.curve import drawn
 
-    world, _ = known
     recording = recording_of(world, "heading")
     t = recording.imu.t[::100]
     warm = Series(t, np.linspace(20.0, 40.0, len(t))[:, None])

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import format_files
 import numpy as np
 import pytest
 from lab_world import command
+from proved import proved
 from rich.console import Console
 from sample_recording import sample
 from typer.testing import CliRunner
@@ -112,6 +112,7 @@ def test_six_sides_teach_the_accelerometer() -> None:
     assert {"x", "y"} <= set(of(found, "gyro_scale"))
 
 
+@pytest.mark.prove
 def test_iron_needs_the_field_from_all_sides() -> None:
     rng = np.random.default_rng(0)
     recording = turned((X, 90.0))
@@ -124,7 +125,7 @@ def test_iron_needs_the_field_from_all_sides() -> None:
     assert all(s.effect.id != "mag_hard_iron" for s in seen(overview(recording)))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_what_it_says_is_shown_a_calibration_does_observe(seed: int) -> None:
     recording = recording_of(simulate("free-hand", seed=seed, duration_s=40.0))
     found = seen(overview(recording))
@@ -164,7 +165,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert CliRunner().invoke(_app.app, ["info", str(tmp_path / "no.mcap")]).exit_code != 0
 
 
-@pytest.mark.parametrize("width", [60, 80, 140])
+@pytest.mark.parametrize("width", [60, 140])
 def test_it_fits_the_terminal(width: int) -> None:
     o = overview(turned((X, 90.0)))
     console = Console(width=width, record=True, file=io.StringIO())
@@ -180,14 +181,6 @@ def test_a_long_topic_cuts_no_other_column() -> None:
     console = Console(width=80, record=True, file=io.StringIO())
     print_info(Info("made", "SI", replace(o, streams=streams), seen(o)), console)
     assert "…" not in console.export_text()
-
-
-def test_three_minutes_take_no_two_seconds() -> None:
-    recording = turned(*[(X, 90.0), (Y, 90.0)] * 11)
-    seen(overview(turned((X, 90.0))))
-    started = time.process_time()
-    seen(overview(recording))
-    assert time.process_time() - started < 2.0
 
 
 def test_real_recordings_are_told(real_recordings: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from handcal.recordings.inputs import _zip, load
+from handcal.recordings.inputs import load
 from handcal.types import InputError
 
 HEADER = "time,seconds_elapsed,z,y,x\n"
@@ -93,24 +93,6 @@ def test_an_empty_folder_or_zip_is_said_to_be_empty(tmp_path: Path) -> None:
         with pytest.raises(InputError) as refused:
             load(path)
         assert str(refused.value) == f"{path} holds no recording: it is empty."
-
-
-def test_a_folder_is_listed_once_for_all_formats(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    listed: list[Path] = []
-
-    def listing(path: Path) -> list[str] | None:
-        listed.append(path)
-        return list_it(path)
-
-    list_it = _zip._listing
-    monkeypatch.setattr(_zip, "_listing", listing)
-    (tmp_path / "photo.jpg").touch()
-    for count in (1, 2):  # (and anew for the next recording: something may have come)
-        with pytest.raises(InputError, match="It holds photo"):
-            load(tmp_path)
-        assert listed == [tmp_path] * count
 
 
 def test_a_file_without_a_name_in_a_zip_is_a_sentence(tmp_path: Path) -> None:

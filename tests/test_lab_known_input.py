@@ -390,6 +390,7 @@ def test_sigmas_of_simulated_set_ups(setup):
     assert 0.8 < rms < 1.25
 
 
+@pytest.mark.prove
 def test_real_imus_of_one_board_against_each_other(real_recordings):
     import handcal
 

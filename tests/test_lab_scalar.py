@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hand_world import Held, alternating, record, turns
 from lab_world import command, off, recording
+from proved import proved
 from scipy.optimize import least_squares
 
 import handcal
@@ -181,6 +182,7 @@ def test_derivatives_of_a_turn_are_its_differences(exact):
     assert np.abs(C @ C.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
 
 
+@pytest.mark.prove
 def test_a_drifting_gyro_bias_harms_neither_scale_nor_its_own_sigma(table):
     """A bias that climbs by 0.2 deg/s: turns are judged by the rests around them."""
     r = table
@@ -244,9 +246,7 @@ def test_sigmas_of_simulated_tables():
 # --- real hands ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", ["array_1_imu5", pytest.param("array_2_imu3", marks=pytest.mark.prove)]
-)
+@pytest.mark.parametrize("name", ["array_1_imu5", *proved("array_2_imu3")])
 def test_real_rests_to_a_hundredth_and_halves_that_agree(name, real_recordings):
     """Issue 5: 20 rest poses; norm within 0.01 m/s^2; both halves within 3 sigma."""
     result = scalar(handcal.load(real_recordings / f"{name}.mcap"))
@@ -289,7 +289,10 @@ PUBLISHED = {
 }
 
 
-@pytest.mark.parametrize("name", list(PUBLISHED))
+@pytest.mark.parametrize(
+    "name",
+    ["nilspod_ferraris", *proved("xsens_poses")],
+)
 def test_real_devices_agree_with_published_calibrations(name, real_recordings):
     result = scalar(handcal.load(real_recordings / "devices" / f"{name}.mcap"))
     found = {e: [p for p in result.parameters if p.effect == e] for e in PUBLISHED[name]}
@@ -308,7 +311,8 @@ IMU_CALIB = {
 }
 
 
-@pytest.mark.parametrize("device", list(IMU_CALIB))
+@pytest.mark.prove
+@pytest.mark.parametrize("device", [3, *proved(0)])
 def test_rests_a_few_samples_apart_calibrate_as_published(device, real_recordings):
     """Issue 75: in the recording of device 3 two pauses are three samples apart."""
     result = scalar(handcal.load(real_recordings / "devices" / f"imu_calib_{device}.csv"))
@@ -357,6 +361,7 @@ def test_an_accelerometer_alone_is_calibrated(table, tmp_path, monkeypatch, caps
     assert "holds the accelerometer alone" in said[2]
 
 
+@pytest.mark.prove
 def test_a_misfit_of_rests_names_what_would_leave_less(table):
     """Issue 75: it was called a lack of rests."""
     lean = table.imu.accel + 0.2 * np.abs(table.imu.accel) * [0.0, 0.0, 1.0]
@@ -367,6 +372,7 @@ def test_a_misfit_of_rests_names_what_would_leave_less(table):
     assert "--effects accel_scale,accel_misalignment,gyro_scale,gyro_misalignment,accel_asy" in said
 
 
+@pytest.mark.prove
 def test_info_and_lab_scalar_agree_about_ten_rests(cases, monkeypatch, capsys):
     path = cases / "ten_rests_real.csv"
     status, _, refusal = command(monkeypatch, capsys, "lab", "scalar", path)
@@ -417,6 +423,7 @@ def held_poses(seed):
     return replace(world, imu=replace(world.imu, accel=accel))
 
 
+@pytest.mark.prove
 def test_poses_held_by_hand_calibrate_with_the_noise_each_has():
     """Six hands; nine parameters of the accelerometer each. Of 54 normalised errors the mean
     square is 1 with a standard deviation of 0.19 where independent; those of one device are not,
@@ -451,6 +458,7 @@ def test_paper_001_floor_is_there_and_goes():
     assert max(left.angle, left.scale, left.bias) < 1e-9
 
 
+@pytest.mark.prove
 def test_paper_001_own_nine_poses_beat_table_2_on_the_same_draws():
     """N = 50 draws at 600 arcsec; handcal's estimate needs no angle, the paper's does."""
     nine = paper_001.gimbals_of(paper_001.own_poses(9))

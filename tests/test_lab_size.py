@@ -319,6 +319,7 @@ def test_the_page_of_the_paper_is_computed() -> None:
     assert all("nan" not in c.computed for c in page.claims)
 
 
+@pytest.mark.prove
 def test_spins_of_the_simulator_give_the_places_back(tmp_path: Path) -> None:
     places = (0.01, -0.004, 0.002, 0.003, -0.008, 0.005, -0.002, 0.006, 0.009)
     file = tmp_path / "spins.mcap"

@@ -167,6 +167,7 @@ def test_one_long_ramp_tells_the_gyro_and_how_the_accelerometer_changes() -> Non
     assert sigma.max() < 0.005
 
 
+@pytest.mark.prove
 def test_what_no_polynomial_follows_becomes_a_spline() -> None:
     device = Device(gyro=hump)
     ups = np.tile(sides(1), (60, 1))
@@ -220,6 +221,7 @@ def test_files_are_put_together() -> None:
         thermal(parts[:1])
 
 
+@pytest.mark.prove
 def test_sensors_that_lag_behind_the_thermometer_are_noticed() -> None:
     device = Device()
     ups = np.tile(sides(1), (80, 1))
@@ -327,6 +329,7 @@ def test_evidence_is_that_of_the_normal_distribution() -> None:
     assert value >= log_evidence(rows, best * 1.2) - 1e-9
 
 
+@pytest.mark.prove
 def test_a_soak_of_the_simulator_gives_its_slopes_back(tmp_path: Path) -> None:
     file = tmp_path / "soak.mcap"
     slopes = {"gyro": (2e-4, -1e-4, 5e-5), "accel": (0.002, -0.001, 0.003)}

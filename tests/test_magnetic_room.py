@@ -82,6 +82,7 @@ def plain() -> Recording:
 # --- what explain finds ---------------------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_step_is_found_and_can_be_written_down() -> None:
     """In twenty seconds; a model read again holds the step at the same moment."""
     found = explain([recording_of(world_of({"mag_step": STEP}, 0, 20.0), "mag")])
@@ -182,6 +183,7 @@ def test_a_step_shows_where_a_reading_was_least_expected(stepped: Case) -> None:
     assert len(sudden(part, {"heading"}, done)) == 0
 
 
+@pytest.mark.prove
 def test_a_held_step_is_fitted_for_the_rest(stepped: Case) -> None:
     """Three numbers; right at the right moment, and the evidence falls at once beside it."""
     base, step = baseline([stepped]), catalogue()["mag_step"]

@@ -11,6 +11,7 @@ import pytest
 import schemas
 import yaml
 from fake_explanation import fake_explanation
+from proved import proved
 from rich.console import Console
 from worlds import recording_of
 
@@ -36,7 +37,7 @@ def filmed(rng: np.random.Generator):
     return replace(consumer_phone(rng), pose=Pose(sigma_m=1e-3, sigma_rad=2e-3, C_bm=TURNED))
 
 
-@pytest.fixture(scope="module", params=range(3))
+@pytest.fixture(scope="module", params=[0, *proved(1, 2)])
 def found(request):
     world = simulate("free-hand", seed=request.param, duration_s=40.0, phone=filmed,
                      effects={"lever_arm": [0.1, -0.05, 0.2]})  # fmt: skip
@@ -58,6 +59,7 @@ def test_it_is_the_truth_within_its_sigmas(found):
     assert (np.abs(turned(marker["quaternion"])) < 4.0 * sigma).all()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_terminal_and_page_say_it(found):
     console = Console(width=200, record=True)
     print_summary(found, console)
@@ -81,6 +83,7 @@ def test_a_chain_has_it_as_its_body(found, tmp_path, name):
     np.testing.assert_array_equal(T[3], [0.0, 0.0, 0.0, 1.0])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_an_explanation_says_it_of_each_recording():
     turned = MarkerRotation(np.array([0.5, 0.5, 0.5, 0.5]), np.radians([0.1, 0.2, 0.3]))
     for count in (1, 2):
@@ -100,9 +103,12 @@ def test_an_explanation_says_it_of_each_recording():
 
 def test_without_a_pose_there_is_none():
     world = simulate("free-hand", seed=0, duration_s=20.0)
-    assert "marker_rotation" not in calibration_json(handcal.calibrate(recording_of(world)))
+    assert "marker_rotation" not in calibration_json(
+        handcal.calibrate(recording_of(world), only=True)
+    )
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("name", "about"),
     [
@@ -119,6 +125,7 @@ def test_real_markers_sit_as_they_were_mounted(real_recordings, name, about):
     assert np.degrees(np.linalg.norm(off)) < 1.0
 
 
+@pytest.mark.prove
 def test_a_real_marker_sits_as_its_turns_say(real_recordings):
     """Turns of a second by the gyro and by Vicon, 0.199 s apart, compared without a filter."""
     recording = handcal.load(real_recordings / "devices" / "euroc_v203.mcap")

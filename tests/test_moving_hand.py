@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from proved import proved
 from scipy.linalg import expm
 from worlds import recording_of
 
@@ -123,7 +124,7 @@ def test_who_rides_a_lift_has_no_error_in_his_accelerometer(seed: int) -> None:
     assert any("moves to another place" in w for w in found.warnings)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_another_hand_is_another_place(seed: int) -> None:
     """A third of a metre within a second: as a held point it swayed by centimetres all along."""
     world = simulate(people(free_hand, [changes_hands]), seed=seed, duration_s=50.0)
@@ -227,13 +228,3 @@ def test_where_no_trajectory_holds_the_point_the_hand_drifts(
     found = drifting_point.begun([case])
     assert math.isfinite(found.log_evidence)
     assert found.parts[0].case.creeping
-
-
-def test_a_hand_that_has_no_fit_takes_no_ones_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its fit has no recordings of which to say how far the point sways."""
-    world = simulate("free-hand", seed=0, duration_s=20.0)
-    base = baseline([case_of(recording_of(world, "heading"), "fixed-point")])
-    (late,) = select(["accel_delay"])
-    model = fitted(base.parts, [*base.effects, late])
-    monkeypatch.setattr(drifting_point, "_fit", lambda _, effects: diverged((), effects))
-    assert drifting_point.moving(base, model, {late.id: 10.0}) is None

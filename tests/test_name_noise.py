@@ -15,6 +15,7 @@ STEP = {"gyro_bias_step": [0.009, -0.012, 0.01, 27.35]}
 WALK = {"gyro_bias_walk": [1.5e-3]}
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("effects", [STEP, WALK])
 def test_a_step_is_told_in_the_place_of_a_walk_and_a_walk_stays(effects):
     world = simulate("free-hand", seed=0, duration_s=40.0, effects=effects)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 from settled import solve
 from typer.testing import CliRunner
 from worlds import recording_of
@@ -177,7 +178,7 @@ def test_conceal_adds_the_law_itself(world, plain, concealed):
     assert rms(heading - 0.3 * up) < 0.02 * rms(0.3 * up)
 
 
-@pytest.mark.parametrize("effect", FILES)
+@pytest.mark.parametrize("effect", ["sensor_cubes", *proved("gyro_pressure", "heading_tilt")])
 def test_calibrate_finds_it(concealed, effect):
     result = calibrate(concealed[effect], [effect], only=True)
     for p, value in zip(catalogue()[effect].parameters, VALUES[effect], strict=True):
@@ -206,7 +207,7 @@ def test_apply_takes_it_off(plain, concealed, effect):
         assert apply(bare, learnt).taken == ()
 
 
-@pytest.mark.parametrize("effect", FILES)
+@pytest.mark.parametrize("effect", ["gyro_pressure", *proved("sensor_cubes", "heading_tilt")])
 def test_twin_reads_it(plain, concealed, effect):
     """Of the law, a fit without it leaves some in what was read beyond the twin; one with it, in
     which it is known to a few percent, next to none."""
@@ -232,6 +233,7 @@ def test_twin_reads_it(plain, concealed, effect):
     assert left[1] < 0.05
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "effect",
     [pytest.param(f, marks=pytest.mark.prove) if f != "heading_tilt" else f for f in FILES],

@@ -119,6 +119,7 @@ def test_six_faces_are_six() -> None:
     )
 
 
+@pytest.mark.prove
 def test_expected_gain_is_the_mean_over_readings() -> None:
     """Against readings drawn from what the model believes, without and with the right rival."""
     rng = np.random.default_rng(5)
@@ -225,6 +226,7 @@ def test_of_the_turns_of_a_session_one_both_ways_separates_them(one_way: Found) 
     assert {np.sign(degrees) for axis, degrees, _ in turns if axis[2] and degrees} == {-1.0, 1.0}
 
 
+@pytest.mark.prove
 def test_no_motion_separates_a_gauge() -> None:
     """Equal scale errors of all accelerometers are gravity: no motion is better than silence."""
     effects = {"accel_scale": [0.004] * 3}
@@ -267,20 +269,7 @@ def test_without_a_thermometer_nobody_is_told_to_warm_it(one_way: Found) -> None
     assert not any(m.warming for m in found)
 
 
-def test_nothing_is_computed_where_nothing_needs_telling(
-    one_way: Found, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = []
-    monkeypatch.setattr(next_motion, "_informations", lambda *a: asked.append(a) or {})
-    hidden = [Hypothesis("gyro_quadratic", "", 0.0, 0.0, 0.1, 0.0, "")]
-    seen = [replace(hidden[0], expected=50.0)]
-    assert next_motions(one_way, [_set("gyro_scale")], hidden, "explained") == ()
-    assert next_motions(one_way, [], seen, "nothing_missing") == ()
-    assert not asked
-    next_motions(one_way, [], hidden, "nothing_missing")
-    assert asked
-
-
+@pytest.mark.prove
 def test_explain_says_it() -> None:
     """The whole way: one turn about the vertical leaves most of the physics unseen."""
     from handcal.explain import explain

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 import schemas
-from worlds import recording_of
+from proved import proved
+from worlds import recording_of, slow
 
 import handcal
 from handcal.effects import select
@@ -26,7 +27,6 @@ from handcal.show.calibration.summary import OWN, calibration_json
 from handcal.show.explanation.document import explanation_json
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
-from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 
 SEALED = Path(__file__).resolve().parents[1] / "recordings"
 # Explained by nothing, by one effect, by a term without a name, by two effects; the real ones are
@@ -39,12 +39,6 @@ REAL = (
     "devices/array_6_imu5", "devices/euroc_v203", "devices/phone_oscillations1",
     "devices/phone_oscillations3", "devices/android_fullpitch", "devices/openaxes_circle250",
 )  # fmt: skip
-
-
-def slow(rng: np.random.Generator) -> Phone:
-    phone = with_rate(consumer_phone(rng), 50.0)
-    assert phone.heading is not None
-    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def made(effects: dict[str, list[float]], seed: int, seconds: float = 45.0) -> Recording:
@@ -86,14 +80,13 @@ def test_calibrate_repeats_what_explain_ended_with(name: str) -> None:
     check_equal([handcal.load(SEALED / f"{name}.mcap")])
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "effects",
     [
-        pytest.param({"gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}, marks=pytest.mark.prove),
+        *proved({"gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}),
         {"heading_outliers": [0.1]},
-        pytest.param(
-            {"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]}, marks=pytest.mark.prove
-        ),
+        *proved({"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]}),
     ],
     ids=lambda e: "+".join(e),
 )
@@ -122,7 +115,7 @@ def test_recordings_of_a_device_tell_its_effects_together() -> None:
     """Twice the information: sigmas fall by the root of two, within what motions differ; biases
     stay each recording's own."""
     scale = {"gyro_scale": [0.012, -0.01, 0.009]}
-    pair = [made(scale, seed) for seed in (0, 1)]
+    pair = [made(scale, seed, 25.0) for seed in (0, 1)]
     alone = [handcal.calibrate(r, ("gyro_scale",), assume="fixed-point", only=True) for r in pair]
     both = calibrate_together(pair, ("gyro_scale",), assume="fixed-point", only=True)
     for axis, true in zip("xyz", scale["gyro_scale"], strict=True):
@@ -139,6 +132,7 @@ def test_recordings_of_a_device_tell_its_effects_together() -> None:
     assert all({p["effect"] for p in r["parameters"]} == set(OWN) for r in document["recordings"])
 
 
+@pytest.mark.prove
 def test_the_effects_of_a_model_are_calibrated_from_another_recording() -> None:
     """What happened at one moment of the first is no part of that, but of its own repetition."""
     effects = {"gyro_scale": [0.012, -0.01, 0.009], "gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}
@@ -196,9 +190,8 @@ def drops(recording: Recording) -> dict[str, float]:
     return out
 
 
-@pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in range(1, 12))]
-)
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, *proved(*range(1, 12))])
 def test_an_effect_that_is_not_there_costs_its_parameters_at_most(seed: int) -> None:
     assert max(drops(made({}, seed, 30.0)).values()) < 0.0
 
@@ -221,6 +214,7 @@ def test_so_on_real_devices(name: str, real_recordings: Path) -> None:
     assert max(found.values()) < 0.0
 
 
+@pytest.mark.prove
 def test_a_fit_that_goes_there_and_back_takes_shorter_steps(real_recordings: Path) -> None:
     """About a phone that is swung, whose arm and delay are not in the model, whole steps went to
     and fro, and evidence with them, by 165 nats."""

@@ -23,6 +23,8 @@ from handcal_sim.strangers import scene_of
 ROOT = Path(__file__).resolve().parents[1]
 KIND, DEVICE, LENGTH_S, OWN = "gyro_rate_force", 0, 30.0, "gyro_under_force"
 
+pytestmark = pytest.mark.prove
+
 
 def run(*arguments, fails=False):
     done = CliRunner().invoke(_app.app, [str(a) for a in arguments])

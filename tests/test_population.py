@@ -32,6 +32,7 @@ def drawn(rng, n, mean=0.002, spread=0.01, noise=0.01):
     return rng.normal(mean, spread, n) + rng.normal(0.0, sigma), sigma
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("count", "noise"), [(12, 0.01), (30, 0.02)])
 def test_intervals_hold_the_truth_as_often_as_they_say(count, noise):
     """200 populations: of 95 % the binomial law has 90 to 98.5 % within 3.2 sigma."""
@@ -73,6 +74,7 @@ def test_recordings_of_one_device_share_its_value():
         population(x[:2], sigma[:2], owners(["a", "b"]))
 
 
+@pytest.mark.prove
 def test_a_tail_is_told_where_there_is_one():
     rng = np.random.default_rng(0)
     sigma = np.full(200, 0.002)
@@ -165,6 +167,7 @@ def test_an_odd_device_is_judged_by_the_others_and_populations_are_told_without_
             assert c.population.spread < 0.01
 
 
+@pytest.mark.prove
 def test_what_is_foretold_of_one_more_device_comes_as_often():
     """400 devices beside six others each: as many in the outer 5 and 30 % as the binomial law has
     within 3.2 sigma. (The spread's prior is flat, which makes few devices cautious: half as many
@@ -274,6 +277,7 @@ def test_what_each_recording_takes_for_a_scale_is_found_by_the_devices_together(
     assert spread[0] == pytest.approx(0.2, abs=3 * 0.2 / math.sqrt(40))
 
 
+@pytest.mark.prove
 def test_what_is_not_there_is_found_in_one_of_a_hundred_at_the_most():
     """20 fleets; odds of one in a hundred trials, so that one found would be a chance of 1/5."""
     found = [

@@ -276,6 +276,7 @@ def test_a_correction_by_the_truth_leaves_nearly_nothing(tmp_path):
     assert all(row["worse"]["n"] == 1 and row["median_left"] < 0.01 for row in rows)
 
 
+@pytest.mark.prove
 def test_the_command_calibrates_applies_and_keeps(tmp_path, capsys):
     number, _ = plain_case(lambda case: case.first.motion == "two axes")
     ordinary.main([

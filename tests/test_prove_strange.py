@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import schemas
 from prove_help import parameter, said
+from proved import proved
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
@@ -207,6 +208,7 @@ def test_only_the_declared_channels_err(monkeypatch):
         assert erring == {one.strange.channel for one in added}
 
 
+@pytest.mark.prove
 def test_laws_come_in_turn_beside_up_to_two_effects():
     counts, kinds, sensors, first = set(), [], [], set()
     for number in range(14):
@@ -372,7 +374,11 @@ def test_a_heading_is_counted_from_where_an_explanation_has_north():
     assert left_share(added, case.world, one) < 0.02
 
 
-@pytest.mark.parametrize("channel", ["gyro_y", "accel_z", "heading"])
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    "channel",
+    ["gyro_y", *proved("accel_z", "heading")],
+)
 def test_what_a_formula_adds_is_known_here(world, scene, channel):
     """Of each driver, in the words of its formula: only the law itself is not the same."""
     signals = Signals(
@@ -504,6 +510,7 @@ def test_a_trial_is_worked_out_scored_and_shown():
     assert world.streams["heading"].values.shape[1] == 1
 
 
+@pytest.mark.prove
 def test_told_the_law_itself_calibrate_leaves_what_the_noise_does(tmp_path):
     """A small part, and not nothing: not more than everything, nor that of a wrong size."""
     for number in range(len(LAWS)):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fake_explanation import fake_explanation
 from fake_result import fake_result
+from proved import proved
 from scipy.spatial.transform import Rotation
 
 from handcal.device import quality as q
@@ -43,10 +44,14 @@ def dead_reckoned(t: Array, gyro: Array, accel: Array) -> tuple[Rotation, Array]
     return C, p
 
 
-@pytest.mark.parametrize("effect", [*USUAL, *RARE], ids=lambda e: e.id)
+@pytest.mark.parametrize(
+    "effect",
+    [*USUAL, *proved(*RARE)],
+    ids=lambda e: e.id,
+)
 def test_the_matrices_do_what_brute_force_does(effect):
     """Small errors, integrated in full: within a tenth, or too small to speak of."""
-    t = np.arange(0.0, 60.0 + 1e-9, 0.01)
+    t = np.arange(0.0, 60.0 + 1e-9, 0.02)
     C_nb, omega = attitude(MINUTE, t)
     truth = of_arrays(t, omega, GRAVITY * C_nb[:, 2, :])
     size = (

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from proved import proved
 from vqf import VQF
 
 import handcal
@@ -201,9 +202,7 @@ def _motion_rms(result: Result) -> Array:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "name", ["array_1_imu5", pytest.param("array_2_imu3", marks=pytest.mark.prove)]
-)
+@pytest.mark.parametrize("name", ["array_1_imu5", *proved("array_2_imu3")])
 def test_lever_arm_between_two_imus(name: str, real_recordings: Path) -> None:
     path = real_recordings / f"{name}.mcap"
     result = _against_reference(path, ("lever_arm", *ERRORS), 0)
@@ -248,6 +247,7 @@ def test_both_halves_of_the_shaking_agree(name: str, real_recordings: Path) -> N
     assert np.abs(normed).max() < 4.0
 
 
+@pytest.mark.prove
 def test_so_many_poses_tell_as_much_of_the_sensors_as_25_a_second(
     real_recordings: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,7 @@ from worlds import recording_of
 
 from handcal.compiled.sparse import Entries, list_entries, no_entries, times_entries, turn_over
 from handcal.effects import select
-from handcal.estimate import evidence, fit
+from handcal.estimate import evidence
 from handcal.estimate.adjoint import backward
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
@@ -178,28 +178,3 @@ def test_the_adjoint_gives_what_the_columns_gave(
     backward(done, True, all_, np.empty((k, m, m)))
     scale = np.abs(all_[:, :, :1]).max(axis=0)
     np.testing.assert_allclose(one / scale, all_[:, :, :1] / scale, rtol=0, atol=1e-7)
-
-
-def test_a_fit_that_rests_is_not_linearised_for_levels_that_stay(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Its last step and other noise levels change less than is asked: two linearisations, and the
-    evidence of three; where more is asked, three."""
-    world = simulate("free-hand", seed=1, duration_s=10.0)
-    start = [started(case_of(recording_of(world)))]
-    begin = fit.fitted(start, (), noise_rounds=3, tolerance=1e-3)
-    counted = []
-
-    def counting(f: Fitted) -> Reduction | None:
-        counted.append(f)
-        return sane(f)
-
-    sane = fit._reduced_if_sane
-    monkeypatch.setattr(fit, "_reduced_if_sane", counting)
-    again = fit.fitted(begin.parts, ())
-    assert len(counted) == 2
-    counted.clear()
-    finer = fit.fitted(begin.parts, (), tolerance=1e-9)
-    assert len(counted) > 2
-    assert again.settled
-    assert again.log_evidence == pytest.approx(finer.log_evidence, abs=fit.COMPARED)

@@ -106,11 +106,13 @@ def test_named_effects_are_as_a_scan_has_them(some: tuple[Model, Response]) -> N
     np.testing.assert_allclose(matrix.quadratic.G[np.ix_(at, at)], q.G, rtol=1e-6, atol=1e-4)
 
 
+@pytest.mark.prove
 def test_its_evidence_is_worth_what_a_scan_of_all_names_says(model: Model) -> None:
     assert 0.0 < response(model).worth <= 1.0
     assert response(model).worth == pytest.approx(scan(model, response(model).effects).worth)
 
 
+@pytest.mark.prove
 def test_noise_is_what_a_look_of_the_filter_says(some: tuple[Model, Response]) -> None:
     model, matrix = some
     without, plain = _evidence(matrix, model), _filtered(model)
@@ -189,6 +191,7 @@ def test_a_law_is_its_means_in_the_windows(some: tuple[Model, Response], name: s
     assert log_evidence(in_windows, np.arange(len(names))) == pytest.approx(whole, abs=QUICK)
 
 
+@pytest.mark.prove
 def test_noise_of_the_model_is_columns_again(model: Model) -> None:
     """What the matrix says of a model with a walk, with that taken out of the filter, is what its
     fit says; and a memory that is short against a window stays in the filter."""
@@ -213,6 +216,7 @@ def test_both_are_found_at_once(model: Model) -> None:
     assert best.score > first.score
 
 
+@pytest.mark.prove
 def test_a_law_by_its_windows_is_what_a_scan_of_it_says(some: tuple[Model, Response]) -> None:
     """Of the best of thousands, where whatever windows get wrong would stand out. Each is near the
     best of its group, and another one. (A law over a derivative is evaluated at 40 Hz.)"""

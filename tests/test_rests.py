@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hand_world import Held, Sensor, Table, Turn, alternating, band, record, turns
+from proved import proved
 from worlds import recording_of
 
 import handcal
@@ -25,7 +26,7 @@ from handcal_sim import simulate
 from handcal_sim.motion_carried import carried, strolled
 from handcal_sim.phone import perfect_phone
 
-RATES = (50.0, 200.0, *(pytest.param(r, marks=pytest.mark.prove) for r in (100.0, 500.0)))
+RATES = (50.0, 200.0, *proved(100.0, 500.0))
 
 
 def near(found, true, reach=0.5):
@@ -312,25 +313,23 @@ def test_sides_turns_and_pauses_of_a_real_device_are_found(real_recordings):
 
 
 def test_between_rests_the_trajectory_follows_the_readings() -> None:
-    """Epochs several seconds and more than a turn apart: the mean rate between them is that of
-    another motion, and a history made of it gave biases of hundreds of m/s^2."""
+    """Rests are several seconds and more than a turn apart: between them are epochs, and between
+    these the readings. (A history made of the mean rate gave biases of hundreds of m/s^2.)"""
     world = simulate("travel", seed=0, phone=lambda _: perfect_phone())
     case = case_of(recording_of(world), "rest-only")
     (part,) = fitted([started(case)], ()).parts
     problem, nominal = part.linear.problem, part.linear.trajectory
     way = path(problem, nominal)
     t = problem.nodes.t
-    assert np.diff(t[nominal.node]).max() > 1.0
+    assert np.diff(t[nominal.node]).max() < 0.51
     at = np.searchsorted(t, case.recording.imu.t)
-    straight = so3.between(t[nominal.node], nominal.C, case.recording.imu.t)
     true = world.truth.C_nb
     # (the yaw that nothing observes is that of the first epoch)
     turn = nominal.C[0] @ true[0].T
     assert _apart(way.C[at], turn @ true) < np.radians(1.0)
-    assert _apart(straight, turn @ true) > np.radians(5.0)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
 def test_a_walk_that_begins_slowly_tells_nothing_of_a_delay_in_the_rest_before(seed: int) -> None:
     """Without noise and at rest to the last digit: what a delay does to the beginning of a walk,
     averaged into the rest before it, made 20 ms into 10 +- 0.4."""

@@ -289,6 +289,7 @@ def test_the_command_is_quick_to_import():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.prove
 def test_an_effect_that_is_not_the_simulators_own_comes_from_the_catalogue(tmp_path, monkeypatch):
     """As if it were new: concealed by the other program; the truth stays, and names it."""
     plain, out = tmp_path / "plain.mcap", tmp_path / "a.mcap"

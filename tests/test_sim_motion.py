@@ -143,6 +143,7 @@ def test_travel_goes_half_a_metre_and_rests_on_a_table(seed):
     np.testing.assert_allclose(k.omega_nb_b, 0.0, atol=1e-12)
 
 
+@pytest.mark.prove
 def test_a_hand_sways_as_much_as_it_says_and_more_while_turning():
     rng = np.random.default_rng(0)
     holder = hand.Hand(1e-3, 6e-3, 2e-3, 8e-3, 5e-5, 4e-3)

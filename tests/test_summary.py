@@ -244,6 +244,7 @@ def test_figures_are_of_what_is_shown_and_few():
     assert len({g.effect for g in layout_of(result).groups}) == 5
 
 
+@pytest.mark.prove
 def test_rests_that_were_fallen_back_upon_are_no_good_verdict():
     """Whether the hand moved or effects are missing, `calibrate --only` cannot tell (without it a
     scale error is not missing)."""

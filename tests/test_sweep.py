@@ -101,6 +101,7 @@ def errors_z(cell, seeds):
     return found[names[0]][:, Z], found[names[1]][:, Z], chunk.bound[Z]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("sigma", "settle", "seeds"), [(5.0, False, 24), (60.0, True, 10)])
 def test_gyro_z_errs_as_much_as_its_sigma_says(sigma, settle, seeds):
     cell = matched(sigma, start_heading_deg=1.0, draw_start=True, settle=settle)
@@ -308,6 +309,7 @@ def done():
     return run(small(), here(), sweep.run_chunk, Kept(None), ignored)
 
 
+@pytest.mark.prove
 def test_two_processes_of_which_one_is_killed_give_the_same_result(done):
     killed = []
 
@@ -338,6 +340,7 @@ def test_an_error_in_the_work_itself_is_not_tried_again():
         run(small(1), here(), wrong, Kept(None), ignored)
 
 
+@pytest.mark.prove
 def test_an_interrupted_sweep_keeps_finished_cells_and_goes_on(tmp_path, done):
     file = tmp_path / "cells.jsonl"
     runs = 0

@@ -5,19 +5,20 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
+from lab_world import command
 from sample_recording import sample
+from typer.testing import CliRunner
 
 import handcal
 from handcal.commands import _options
+from handcal.commands._app import app
 from handcal.recordings.export import write_mcap
 from handcal.recordings.inputs import load
 from handcal.recordings.inputs._names import Producer, vocabulary
@@ -304,10 +305,8 @@ def test_every_command_that_reads_a_recording_has_the_options(command: str) -> N
         assert option in said
 
 
-def run(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "handcal", *map(str, words)]
-    env = os.environ | {"COLUMNS": "200"}
-    return subprocess.run(command, capture_output=True, text=True, env=env, check=False)
+def run(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(w) for w in words], env={"COLUMNS": "200"})
 
 
 def counted_table(path: Path) -> Path:
@@ -318,12 +317,14 @@ def counted_table(path: Path) -> Path:
     return path
 
 
-def test_import_takes_them_and_so_does_handcal_toml(tmp_path: Path) -> None:
+def test_import_takes_them_and_so_does_handcal_toml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     path, out = counted_table(tmp_path / "a.txt"), tmp_path / "a.mcap"
     units = "accel=g/16384,gyro=deg/s/131"
     words = ["--columns", "gx,gy,gz,ax,ay,az", "--rate", 100, "--units", units]
     done = run("import", path, *words, "--axes", "gyro=y,-x,z", "--axes", "accel=y,-x,z", "-o", out)
-    assert done.returncode == 0, done.stderr
+    assert done.exit_code == 0, done.stderr
     back = load(out)
     np.testing.assert_allclose(back.imu.gyro[:, 0], even().imu.gyro[:, 1], rtol=0, atol=1e-4)
     config = tmp_path / "handcal.toml"
@@ -331,9 +332,11 @@ def test_import_takes_them_and_so_does_handcal_toml(tmp_path: Path) -> None:
         f'[info]\ncolumns = "gx,gy,gz,ax,ay,az"\nrate = 100\nunits = "{units}"\n'
         'axes = ["gyro=y,-x,z", "accel=y,-x,z"]\n'
     )
-    done = run("info", path, "--config", config, "--json", "-")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["recording"]["duration_s"] == pytest.approx(3.99)
+    status, said, err = command(
+        monkeypatch, capsys, "info", path, "--config", config, "--json", "-"
+    )
+    assert status == 0, err
+    assert json.loads(said)["recording"]["duration_s"] == pytest.approx(3.99)
 
 
 def test_explain_repeats_them_in_the_commands_that_come_next() -> None:

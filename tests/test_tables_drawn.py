@@ -153,7 +153,7 @@ def options(layout: Layout) -> dict[str, Any]:
 
 
 @settings(
-    deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(layout=layouts())
 def test_a_motion_in_any_layout_is_read_back(tmp_path: Path, layout: Layout) -> None:
@@ -177,7 +177,7 @@ MARKS = (",", ";", "\t", "\n", '"', "x", "1e308", "-", "nan", "12:00:00", "#", "
 
 
 @settings(
-    deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     layout=layouts(),

@@ -184,6 +184,14 @@ def doubted(request):
     return make(), level, part
 
 
+@pytest.fixture(params=["unseen data fit worse", "no hand, calibrated"])
+def handed_on(request):
+    """Of each kind one: whoever uses a result goes by its level and its reasons alone."""
+    make, level, part = DOUBTS[request.param]
+    return make(), level, part
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_json_page_terminal_and_python_say_it(doubted):
     made, level, part = doubted
     document = document_of(made)
@@ -199,8 +207,8 @@ def test_json_page_terminal_and_python_say_it(doubted):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_whoever_is_handed_it_hears_it_or_is_refused(doubted, command, run, tmp_path):
-    made, level, part = doubted
+def test_whoever_is_handed_it_hears_it_or_is_refused(handed_on, command, run, tmp_path):
+    made, level, part = handed_on
     write_json(document_of(made), tmp_path / "made.json")
     recording = made.recording if isinstance(made, Result) else made.recordings[0].recording
     name = "hand-motion.mcap" if isinstance(made, Result) else recording.path
@@ -218,8 +226,8 @@ def test_whoever_is_handed_it_hears_it_or_is_refused(doubted, command, run, tmp_
         assert part in flat((tmp_path / "out.csv").read_text("utf-8"))
 
 
-def test_a_fit_is_repeated_with_the_reasons_or_refused(doubted, run, tmp_path):
-    made, level, part = doubted
+def test_a_fit_is_repeated_with_the_reasons_or_refused(handed_on, run, tmp_path):
+    made, level, part = handed_on
     # (without a model nothing is fitted, which is said after the doubts)
     (tmp_path / "made.json").write_text(json.dumps(document_of(made) | {"model": None}))
     write_mcap(plain().recording, tmp_path / "hand.mcap")
@@ -233,10 +241,11 @@ def test_a_fit_is_repeated_with_the_reasons_or_refused(doubted, run, tmp_path):
     assert "holds no model" in said
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_live_session_ends_with_the_reasons_and_exports_what_is_to_be_trusted(
-    doubted, run, tmp_path, monkeypatch
+    handed_on, run, tmp_path, monkeypatch
 ):
-    made, level, part = doubted
+    made, level, part = handed_on
     explanation, result = (found(), made) if isinstance(made, Result) else (made, plain())
     monkeypatch.setattr("handcal.explain.explain", lambda *_, **__: explanation)
     monkeypatch.setattr("handcal.estimate.calibration.calibrate", lambda *_, **__: result)
@@ -252,8 +261,8 @@ def test_a_live_session_ends_with_the_reasons_and_exports_what_is_to_be_trusted(
 
 
 @pytest.mark.parametrize("anyway", [False, True])
-def test_a_fleet_names_it_and_learns_of_what_is_to_be_trusted(doubted, anyway, tmp_path):
-    made, level, part = doubted
+def test_a_fleet_names_it_and_learns_of_what_is_to_be_trusted(handed_on, anyway, tmp_path):
+    made, level, part = handed_on
     own = {k: v for k, v in document_of(made).items() if k in ("trust", "trust_reasons")}
     place, members = store.opened(tmp_path / "out"), []
     for name, more in (("fine", {}), ("doubted", own)):
@@ -276,8 +285,8 @@ def test_a_fleet_names_it_and_learns_of_what_is_to_be_trusted(doubted, anyway, t
     assert part in flat((tmp_path / "out/fleet.html").read_text("utf-8"))
 
 
-def test_python_applies_it_with_the_reasons_or_refuses(doubted):
-    made, level, part = doubted
+def test_python_applies_it_with_the_reasons_or_refuses(handed_on):
+    made, level, part = handed_on
     recording = plain().recording
     if level == "none":
         with pytest.raises(HandcalError, match="anyway=True"):

@@ -180,6 +180,7 @@ def test_slots_average(turned):
     assert fine[1].mean() == pytest.approx(coarse[1].mean(), abs=0.2 * rms(fine[1]))
 
 
+@pytest.mark.prove
 def test_known_input_is_compared_reading_by_reading():
     if "known_input" not in catalogue():
         pytest.skip("no known input yet")

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from proved import proved
 from typer.testing import CliRunner
 
 from handcal import effects, user_effects
@@ -202,14 +203,14 @@ def test_commands_say_what_they_run_and_end_with_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("late", LATER)
-@pytest.mark.parametrize("command", ["conceal", "calibrate", "explain"])
+@pytest.mark.parametrize("command", ["conceal", "calibrate"])
 def test_what_goes_wrong_with_a_recording_is_said(late, command, tmp_path):
     body = LATE.format(late=late)
     code = GOOD.replace("    return p[0] * np.hstack([signals.gyro, signals.accel])\n", body)
     folder, recording = folder_with(tmp_path / "own", a=code), tmp_path / "a.mcap"
     write(simulate("z-turn", seed=0, duration_s=3.0), recording)
     options = {"conceal": ["--effect", "own_law=0.01", "-o", str(tmp_path / "b.mcap")],
-               "calibrate": ["--effects", "own_law"], "explain": []}[command]  # fmt: skip
+               "calibrate": ["--effects", "own_law"]}[command]  # fmt: skip
     given = [command, str(recording), *options, "--effects-from", str(folder)]
     done = CliRunner().invoke(_app.app, given)
     assert done.exit_code == 2
@@ -217,6 +218,7 @@ def test_what_goes_wrong_with_a_recording_is_said(late, command, tmp_path):
     assert not (tmp_path / "b.mcap").exists()
 
 
+@pytest.mark.prove
 def test_simulate_hands_the_folder_on(tmp_path):
     assert "effects_from" in simulate_command.__annotations__
     folder, out = folder_with(tmp_path, own_law=GOOD), tmp_path / "a.mcap"
@@ -339,6 +341,7 @@ def laws_over(driver, sensor, signals):
                 yield Law(sensor, axes, each, driver, form, (1.0,) * form.constants)
 
 
+@pytest.mark.prove
 def test_every_law_written_out_is_the_law(tmp_path):
     """Every driver, form and way: to a millionth of what it adds."""
     s = moved()
@@ -371,7 +374,7 @@ def test_what_an_operator_makes_is_told_from_its_name():
     assert operators.parsed("(play(0.25 rad/s) of omega_x)") is None
 
 
-@pytest.mark.parametrize("sensor", [0, 1])
+@pytest.mark.parametrize("sensor", [0, *proved(1)])
 def test_a_law_over_a_further_driver_written_out_is_the_law(tmp_path, sensor):
     """Each kind of them, with one of its numbers: to a millionth of what it adds."""
     s, kinds = moved(), {}
@@ -595,6 +598,7 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(name, said, tmp_p
     assert (tmp_path / "there.py").read_text() == "mine"
 
 
+@pytest.mark.prove
 def test_the_processes_of_a_trial_have_the_folder_too(tmp_path):
     world = simulate("z-turn", seed=0, duration_s=8.0)
     write(world, tmp_path / "a.mcap", truth=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,7 +22,15 @@ from handcal.search.response import response
 from handcal.search.select import Priors, chosen
 from handcal.search.select_laws import courses_on, groups_of, laws_of
 from handcal.types import Imu, Recording, Series
+from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 from handcal_sim.scenario import World
+
+
+def slow(rng: np.random.Generator) -> Phone:
+    """A consumer's phone that reads fifty times a second, its heading ten times."""
+    phone = with_rate(consumer_phone(rng), 50.0)
+    assert phone.heading is not None
+    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
 
 
 def recording_of(world: World, *streams: str) -> Recording:

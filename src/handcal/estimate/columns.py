@@ -223,19 +223,23 @@ def spread(
         kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (a, b))
         # (a diverged pass may have negative variances; its sums mean nothing)
         weight = 1.0 / np.sqrt(np.abs(done.S[s]))[:, None]
-        count = int(np.searchsorted(begun, b))
-        some = weight * nu[:, :count]
-        gram[:count, :known] += some.T @ (weight * there[s])
-        # (the lower half)
-        for i in range(0, count, BLOCK):
-            j = min(i + BLOCK, count)
-            gram[i:j, known : known + j] += some[:, i:j].T @ some[:, :j]
+        _add_products(weight * there[s], weight * nu[:, : np.searchsorted(begun, b)], gram)
     gram = gram[rank]
     mixed, own = gram[:, :known], gram[:, known:][:, rank]
     own = np.where(np.less.outer(rank, rank), own.T, own)
     whole = np.block([[G0, mixed[:, 1:].T], [mixed[:, 1:], own]])
     reduction = done.reduction if beside is None else beside.reduction
     return Spread(_with(reduction, effects), (a0, np.r_[b0, -mixed[:, 0]], whole))
+
+
+def _add_products(known: Array, some: Array, gram: Array) -> None:
+    """Add the products of columns (s, c) with known ones (s, k) and with each other, of these the
+    lower half, to the first c rows of gram (n, k + n)."""
+    k, count = known.shape[1], some.shape[1]
+    gram[:count, :k] += some.T @ known
+    for i in range(0, count, BLOCK):
+        j = min(i + BLOCK, count)
+        gram[i:j, k : k + j] += some[:, i:j].T @ some[:, :j]
 
 
 def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
