@@ -180,7 +180,7 @@ def test_a_law_is_its_means_in_the_windows(some: tuple[Model, Response], name: s
     C = np.zeros((len(q.b), len(effect.parameters)))
     for sensor in (0, 1):
         parts = [
-            means(effect, sensor, s, w.of(s.t), len(w.phase)).reshape(3, len(w.phase), -1)
+            means(effect, sensor, s, w.of(s.t), w.count).reshape(3, w.count, -1)
             for w, s in zip(matrix.windows.each, matrix.windows.motion, strict=True)
         ]
         C[matrix.windows.of(sensor)] = np.concatenate(parts, axis=1).reshape(-1, C.shape[1])

@@ -76,8 +76,7 @@ def _response(
     turning = np.zeros((COUNT, 3))
     turning[:, 2] = 1.0 + np.sin(edges[:-1])
     motion = Signals(edges[:-1], turning, np.zeros((COUNT, 3)))
-    of_each = np.arange(COUNT), 1, np.zeros(COUNT, dtype=np.int64)
-    each = short_windows.Windows(edges, *of_each)
+    each = short_windows.Windows(edges, np.arange(COUNT))
     noise = [catalogue()[i] for i in NOISE] + [with_motion.effect("gyro", (0, 1, 2), "attitude")]
     q = Quadratic(tuple(names), 0.0, J.T @ y, J.T @ J)
     told = {k: np.zeros(3) for k in (0, 1)}

@@ -53,21 +53,20 @@ class Courses:
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows, each within one epoch of the filter or covering several whole ones.
-
-    edges (K + 1,), s. first (E,): the window in which each epoch begins. within: largest count of
-    windows in an epoch. phase (K,): index of each window within its epoch.
-    """
+    """Windows of one or several epochs each. edges (K + 1,), s; first (E,): the window in which
+    each epoch lies."""
 
     edges: Array
     first: IntArray
-    within: int
-    phase: IntArray
+
+    @property
+    def count(self) -> int:
+        return len(self.edges) - 1
 
     def of(self, t: Array) -> IntArray:
         """The window of each time t (n,)."""
         at = np.searchsorted(self.edges, t, side="right") - 1
-        return np.asarray(np.clip(at, 0, len(self.phase) - 1))
+        return np.asarray(np.clip(at, 0, self.count - 1))
 
 
 def windows_about(about: Ground) -> Windows:
@@ -75,20 +74,16 @@ def windows_about(about: Ground) -> Windows:
     t = about.linear.problem.nodes.t
     begin, end = t[about.windows[0]], t[about.windows[1]]
     width = max(WINDOW, float(end[-1] - begin[0]) / MOST_WINDOWS)
-    edges, first, phase = [float(begin[0])], list[int](), list[int]()
-    room = 0.0
+    edges, first, room = [float(begin[0])], list[int](), 0.0
     for a, b in zip(begin, end, strict=True):
-        many = max(1, round((b - a) / width))
-        if many == 1 and b - a < 1.01 * room:  # (in the window of the epoch before)
-            first.append(len(phase) - 1)
+        if b - a < 1.01 * room:  # (in the window of the epoch before)
             edges[-1] = float(b)
         else:
-            first.append(len(phase))
-            phase += range(many)
-            edges += np.linspace(a, b, many + 1)[1:].tolist()
-            room = width if many == 1 else 0.0
+            edges.append(float(b))
+            room = width
+        first.append(len(edges) - 2)
         room -= b - a
-    return Windows(np.array(edges), np.array(first), max(phase) + 1, np.array(phase))
+    return Windows(np.array(edges), np.array(first))
 
 
 def looked_at(
@@ -101,10 +96,9 @@ def looked_at(
     """The quadratic of these effects and of a constant in each window on each axis of the sensors,
     named as in ``constants``; beside: the pass with further effects."""
     channels = [(sensor, axis) for sensor in sensors for axis in AXES_OF[sensor]]
-    count = len(windows.phase)
-    pattern = [_phases(*channel, windows) for channel in channels]
-    own = np.minimum(windows.first[:, None] + np.arange(windows.within), count - 1)
-    place = np.hstack([own + count * n for n in range(len(channels))])
+    count = windows.count
+    pattern = [constants(*channel, 1) for channel in channels]
+    place = windows.first[:, None] + count * np.arange(len(channels))
     every = [constants(*channel, count) for channel in channels]
     done = spread(about, pattern, every, place, beside)
     return local(done, frozenset([*ids, *(e.id for e in every)])).quadratic
@@ -131,29 +125,9 @@ def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int
     return out.reshape(-1, len(e.parameters)) * e.prior_sigma / SIZE[sensor]
 
 
-def _phases(sensor: int, axis: int, windows: Windows) -> Effect:
-    """An error of a channel with one constant for each phase of an epoch."""
-
-    def columns(signals: Signals) -> Array:
-        return np.eye(windows.within)[windows.phase[windows.of(signals.t)]]
-
-    return _added("phases", sensor, axis, windows.within, columns)
-
-
 def fits_in(signals: Signals) -> bool:
-    """Whether a recording has ``MOST_WINDOWS`` or fewer."""
-    return count_of(signals.t) <= MOST_WINDOWS
-
-
-def count_of(t: Array, width: float = WINDOW) -> int:
-    """The count of windows of this width, s, in times t (n,), s."""
-    return max(1, math.floor(float(t[-1] - t[0]) / width))
-
-
-def windows_of(t: Array, all_: Array, width: float = WINDOW) -> IntArray:
-    """The window of each time t (n,), s; all_: all times of the recording."""
-    last = count_of(all_, width) - 1
-    return np.asarray(np.minimum(((t - all_[0]) / width).astype(np.int64), last))
+    """Whether a recording has ``MOST_WINDOWS`` or fewer of ``WINDOW``."""
+    return float(signals.t[-1] - signals.t[0]) < WINDOW * (MOST_WINDOWS + 1)
 
 
 def seldom(signals: Signals) -> Signals:
@@ -228,11 +202,11 @@ def _rms(x: Array) -> float:
     return math.sqrt(float(np.mean(x**2)))
 
 
-def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effect:
-    """An error of a channel with one constant for each of ``count`` windows of this width, s."""
+def constants(sensor: int, axis: int, count: int) -> Effect:
+    """An error of a channel with ``count`` constants, each the error while it acts."""
 
     def columns(signals: Signals) -> Array:
-        return np.eye(count)[windows_of(signals.t, signals.t, width)]
+        return np.ones((len(signals.t), count))
 
     return _added("windows", sensor, axis, count, columns)
 

@@ -86,7 +86,7 @@ class Windows:
         """Of each recording the windows' middles, s, and mean rates of turning, rad/s."""
         out = []
         for w, signals in zip(self.each, self.motion, strict=True):
-            of, n = w.of(signals.t), len(w.phase)
+            of, n = w.of(signals.t), w.count
             turned = np.bincount(of, np.linalg.norm(signals.gyro, axis=1), n)
             rate = turned / np.maximum(np.bincount(of, minlength=n), 1)
             out.append((0.5 * (w.edges[:-1] + w.edges[1:]) - w.edges[0], np.asarray(rate)))
@@ -193,7 +193,7 @@ def _places(q: Quadratic, windows: Windows) -> dict[tuple[int, int], IntArray]:
             [
                 place[f"windows: {sensor} {axis} of {part}", f"w{n}"]
                 for part, w in enumerate(windows.each)
-                for n in range(len(w.phase))
+                for n in range(w.count)
             ]
         )
         for sensor, axis in windows.at
@@ -258,7 +258,7 @@ def _named(model: Model, on_trial: Sequence[Effect]) -> list[Effect]:
 
 def _told(model: Model, about: Sequence[Ground], windows: Windows) -> dict[int, Array]:
     """See ``Windows``: by a scan of some windows of the first recording."""
-    first, n = replace(model, parts=model.parts[:1]), len(windows.each[0].phase)
+    first, n = replace(model, parts=model.parts[:1]), windows.each[0].count
     some = np.unique(np.linspace(0, n - 1, min(n, LOOKED)).astype(np.int64))
     looked = [halves(k, axis, some, windows.each[0]) for k, axis in windows.at]
     q = scan(first, looked, about[:1], 1.0)

@@ -83,7 +83,7 @@ class InWindows:
         """Mean errors (axes * N, k) in all windows."""
         axes, k = len(AXES_OF[self.sensor]), len(e.parameters)
         parts = [
-            means(e, self.sensor, *seen, len(w.phase)).reshape(axes, -1, k)
+            means(e, self.sensor, *seen, w.count).reshape(axes, -1, k)
             for w, seen in zip(self.windows.each, self.windows.seldom, strict=True)
         ]
         return np.concatenate(parts, axis=1).reshape(-1, k)
@@ -109,7 +109,7 @@ def courses_on(windows: Windows) -> dict[int, list[Courses]]:
 def _over_all(drivers: Sequence[Driver], windows: Windows, sensor: int) -> list[Courses]:
     """Courses in the windows of all recordings, of drivers that vary in each of them."""
     each = [
-        courses_of(drivers, s, sensor, len(w.phase), w.of)
+        courses_of(drivers, s, sensor, w.count, w.of)
         for w, s in zip(windows.each, windows.motion, strict=True)
     ]
     first, *others = each
