@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,10 +11,9 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import catalogue
-from handcal.estimate import fit
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
-from handcal.estimate.model import Model, Rested
+from handcal.estimate.model import Model
 from handcal.explain import pipeline
 from handcal.laws.drivers import Driver, by
 from handcal.laws.grammar import formula, shorter
@@ -29,8 +26,7 @@ from handcal.laws.over_drivers import (
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.model_score import GAINED, PRIOR, better, of_use
-from handcal.search import beyond_columns, multistart
-from handcal.search.beyond_columns import akin, other_ways
+from handcal.search import multistart
 from handcal_sim import simulate
 
 
@@ -50,18 +46,6 @@ def _search(
     monkeypatch.setattr(multistart, "steadied", lambda _: first)
     monkeypatch.setattr(multistart, "sways_far", wide)
     return multistart.search(base, **how).model, begun
-
-
-@pytest.mark.parametrize(("superseded", "climbs"), [(True, 1), (False, 2)])
-def test_no_second_climb_where_the_first_is_superseded(
-    superseded: bool, climbs: int, base: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    worse = replace(base, log_evidence=base.log_evidence - 1.0)
-    found, begun = _search(
-        base, monkeypatch, worse, lambda _: True, superseded=lambda _: superseded
-    )
-    assert len(begun) == climbs
-    assert found.log_evidence == (worse if superseded else base).log_evidence
 
 
 def test_an_end_that_explains_less_than_the_baseline_is_not_the_last(
@@ -134,44 +118,6 @@ def test_of_what_is_never_felt_there_is_no_law(base: Model) -> None:
     assert over(by(driver_of("omega_{i}"), driver_of("|omega|")), signals, (0,))
 
 
-def test_what_cannot_be_the_better_one_is_given_up(
-    base: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of every other way to have the same effects: the order, the rival, without noise."""
-    slow, walk = catalogue()["gyro_bandwidth"], catalogue()["gyro_bias_walk"]
-    effects = (*base.effects, catalogue()["gyro_quadratic"], slow, walk)
-    model = replace(base, effects=effects, u=np.zeros(0))
-    least: list[float] = []
-
-    def fit_of(_: object, effects: Any, of_use: float = -math.inf) -> Model:
-        least.append(of_use)
-        return replace(model, effects=tuple(effects))
-
-    monkeypatch.setattr(beyond_columns, "fitted", fit_of)
-    monkeypatch.setattr(beyond_columns, "in_parallel", lambda calls: (call() for call in calls))
-    ways = other_ways(model, 0.2, frozenset(), frozenset(base.ids))
-    rivals = [i for i in catalogue() if akin(slow.id, i)]
-    changed = []
-    for m in islice(ways, 2 + len(rivals)):
-        assert least.pop() == of_use(model, m.effects, 0.2) > -math.inf
-        changed.append({e.id for e in m.effects} ^ set(model.ids))
-    assert changed == [set(), *({slow.id, rival} for rival in rivals), {walk.id}]
-
-
-@pytest.mark.parametrize(("above", "anew"), [(-10.0, 1), (10.0, 0)])
-def test_noise_levels_are_not_found_for_a_fit_that_rests_below_what_is_of_use(
-    above: float, anew: int, base: Model, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wanted = [*base.effects, catalogue()["gyro_scale"]]
-    rested = fit.fitted(base.parts, wanted, noise_rounds=0).log_evidence
-    counted: list[int] = []
-    with_noise = fit.with_noise
-    monkeypatch.setattr(fit, "with_noise", lambda *a: counted.append(1) or with_noise(*a))
-    tried = fit.fitted(base.parts, wanted, of_use=rested + above)
-    assert len(counted) == anew
-    assert tried.log_evidence > rested - 1.0
-
-
 @pytest.mark.parametrize("worth", [1.0, 0.2])
 def test_a_fit_is_of_use_from_where_noise_levels_may_still_make_it_the_better(
     worth: float, base: Model
@@ -182,25 +128,3 @@ def test_a_fit_is_of_use_from_where_noise_levels_may_still_make_it_the_better(
     rare = catalogue()["gyro_quadratic"]
     alike = replace(base, effects=(*base.effects, rare), log_evidence=least)
     assert better(base, alike, worth) == pytest.approx(worth * GAINED, abs=1e-6)
-
-
-@pytest.mark.parametrize(("moved", "times"), [(0.5 * fit.STILL, 1), (2.0 * fit.STILL, 3)])
-def test_levels_that_stay_are_followed_once(
-    base: Model, moved: float, times: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where a fit cannot follow levels all the way it goes a part of it: but where they are what
-    they were it did the same ten rounds three times, and once more to rest."""
-    asked: list[float] = []
-
-    def followed(parts: Any, **_: Any) -> Any:
-        asked.append(next(iter(parts[0].levels.values())))
-        return SimpleNamespace(evidence=-50.0)
-
-    monkeypatch.setattr(fit, "relinearised_parts", followed)
-    (f,) = base.parts
-    new = replace(f, levels={k: v * math.exp(moved) for k, v in f.levels.items()})
-    now, still = Rested([f], True, 0.0, 0.2), fit._change([f], [new]) < fit.STILL
-    found = fit._with_levels(now, [], [new], still, base.effects, None, 0.2)
-    assert (found is None) is (times > 1)
-    begin = next(iter(f.levels.values()))
-    assert [math.log(x / begin) / moved for x in asked] == pytest.approx(fit.SHARES[:times])

@@ -92,6 +92,7 @@ def test_turns_in_the_hand_are_taken_to_be_about_a_fixed_point(name, seed):
     assert not any("travels" in w for w in result.warnings)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", range(1))
 def test_a_hand_that_travels_is_still_only_at_rest(seed):
     """It moves by half a metre: told, and only the rests are taken to be still."""

@@ -142,10 +142,9 @@ def test_headings_that_point_anywhere() -> None:
     assert abs(share.value - 0.15) < 4.0 * math.hypot(share.sigma, math.sqrt(0.15 * 0.85 / 301))
 
 
-@pytest.mark.prove
 def test_physics_that_nobody_named_is_found_as_a_formula() -> None:
     """The accelerometer feels turning times force: rms 0.15 m/s^2, as the true motion has it."""
-    world = world_of({}, seconds=40.0)
+    world = world_of({}, seconds=30.0)
     recording = recording_of(world, "heading")
     accel = recording.imu.accel.copy()
     accel[:, 0] += 0.02 * world.truth.omega[:, 1] * world.truth.f[:, 2]

@@ -171,7 +171,7 @@ def test_what_passes_by_is_unexplained(sign: float) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("square", [False, *proved(True)])
+@pytest.mark.parametrize("square", [False, True])
 def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
     """A walk or an attitude error stood in for it while a heading saw no thermometer."""
     world = simulate("free-hand", seed=0, duration_s=40.0, phone=warming, effects={})

@@ -3,12 +3,9 @@ lean on the absence of what the motion cannot show."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,58 +13,19 @@ from rich.console import Console
 from worlds import recording_of
 
 from handcal.effects import catalogue, select
-from handcal.estimate import case, process
+from handcal.estimate import case
 from handcal.estimate.baseline import started
 from handcal.estimate.fit import fitted
-from handcal.estimate.model import Model
-from handcal.estimate.noise_levels import Curvature
 from handcal.estimate.robust import inflation
 from handcal.explain import assembled, explain
 from handcal.explain.leaning import leaning
 from handcal.explanation import Hypothesis
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.terminal import print_explanation
-from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 
 NOISE = catalogue()["heading_correlated_noise"]
-
-
-def found_at(sigma: float, tau: float, curvature: Curvature) -> Any:
-    levels = dict(zip([lv.name for lv in NOISE.levels], (sigma, tau), strict=True))
-    return SimpleNamespace(parts=(SimpleNamespace(levels=levels, curvature=curvature),))
-
-
-@pytest.mark.parametrize(("a", "b", "share"), [(0.2, 0.5, 0.0), (0.3, 0.6, 0.8), (0.1, 0.9, -0.5)])
-def test_levels_known_to_a_factor(
-    a: float, b: float, share: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of logarithms that are normal, the mean and the deviation of what they are logarithms of."""
-    covariance = np.array([[a * a, share * a * b], [share * a * b, b * b]])
-
-    def normal(model: Model, effect: Any, names: Any) -> Any:  # noqa: ARG001
-        return lambda x: -0.5 * float(x @ np.linalg.solve(covariance, x))
-
-    monkeypatch.setattr(process, "_log_posterior", normal)
-    model = found_at(0.15, 3.0, Curvature((), np.zeros((0, 0))))
-    for p, at, s in zip(process.process_parameters(model, NOISE), (0.15, 3.0), (a, b), strict=True):
-        assert p.value == pytest.approx(at * math.exp(0.5 * s * s), rel=0.02)
-        assert p.sigma == pytest.approx(p.value * math.sqrt(math.expm1(s * s)), rel=0.06)
-
-
-def test_what_other_levels_leave_open_comes_on_top(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A level that another could stand in for, correlated by 0.8: 1 / 0.6 as wide."""
-    monkeypatch.setattr(
-        process, "_log_posterior", lambda *_: lambda x: -0.5 * float(x @ x) / 0.2**2
-    )
-    names = ("heading_noise", *(lv.name for lv in NOISE.levels))
-    covariance: Array = 0.04 * np.array([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    wide = found_at(0.15, 3.0, Curvature(names, np.linalg.inv(covariance)))
-    alone = found_at(0.15, 3.0, Curvature((), np.zeros((0, 0))))
-    one, two = (process.process_parameters(m, NOISE) for m in (alone, wide))
-    assert two[0].sigma / one[0].sigma == pytest.approx(1.0 / 0.6)
-    assert two[1].sigma / one[1].sigma == pytest.approx(1.0)
 
 
 def slow(rng: np.random.Generator) -> Phone:

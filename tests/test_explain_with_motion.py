@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import schemas
 from fake_explanation import fake_explanation
-from proved import proved
 from worlds import recording_of
 from worlds import slow as at_fifty_hertz
 
@@ -89,7 +88,7 @@ def rings(seed: int, size: float) -> Recording:
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("seed", [0, *proved(1, 2, 3)])
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_what_no_law_describes_is_no_walk_and_no_handful_of_names(seed: int) -> None:
     e = explain([rings(seed, 0.05)])
     assert e.verdict == "unexplained"

@@ -160,6 +160,7 @@ def test_every_command_takes_it_from_the_json_alone(folder):
     assert hc.export(hc.open_result(laws), "kalibr", **given) == text
 
 
+@pytest.mark.prove
 def test_another_recording_of_the_device_tells_the_law_anew(turns, folder):
     """But for what goes with time; the recording itself is fitted again as it was."""
     model = of_document("x", document(CUBE, OWN, BUMP, LATE))

@@ -12,7 +12,6 @@ import format_files
 import numpy as np
 import pytest
 from lab_world import command
-from proved import proved
 from rich.console import Console
 from sample_recording import sample
 from typer.testing import CliRunner
@@ -125,7 +124,8 @@ def test_iron_needs_the_field_from_all_sides() -> None:
     assert all(s.effect.id != "mag_hard_iron" for s in seen(overview(recording)))
 
 
-@pytest.mark.parametrize("seed", [0, *proved(1, 2)])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_what_it_says_is_shown_a_calibration_does_observe(seed: int) -> None:
     recording = recording_of(simulate("free-hand", seed=seed, duration_s=40.0))
     found = seen(overview(recording))

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import schemas
 from prove_help import parameter, said
-from proved import proved
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
@@ -94,6 +93,7 @@ def test_the_latest_laws_are_drawn_in_turn_and_judged_like_the_others():
     assert len(LATEST) == SUITES["latest"].full
 
 
+@pytest.mark.prove
 def test_every_law_is_finite_and_the_same_for_the_same_seed(scene, errors):
     for (name, seed), (_, error, _) in errors.items():
         strange = law.drawn(LAWS[name], 0, seed)
@@ -146,12 +146,14 @@ def later(at, cut):
     return dataclasses.replace(at, at_heading=None, **{n: getattr(at, n)[cut:] for n in names})
 
 
+@pytest.mark.prove
 def test_no_law_is_what_the_catalogue_knows(errors):
     """However much of all its effects together is taken, with the best numbers."""
     shares = {key: law.rms(left) / law.rms(error) for key, (_, error, left) in errors.items()}
     assert {key: share for key, share in shares.items() if share < DISTINCT} == {}
 
 
+@pytest.mark.prove
 def test_no_two_laws_are_alike(errors):
     """Beyond the catalogue, each leaves a tenth of itself when the other is taken."""
     unit = {key: (s, left / np.linalg.norm(left)) for key, (s, _, left) in errors.items()}
@@ -377,7 +379,7 @@ def test_a_heading_is_counted_from_where_an_explanation_has_north():
 @pytest.mark.prove
 @pytest.mark.parametrize(
     "channel",
-    ["gyro_y", *proved("accel_z", "heading")],
+    ["gyro_y", "accel_z", "heading"],
 )
 def test_what_a_formula_adds_is_known_here(world, scene, channel):
     """Of each driver, in the words of its formula: only the law itself is not the same."""
