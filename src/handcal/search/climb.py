@@ -3,8 +3,8 @@ selected, and keep it if, and only if, the score rises.
 
 Each turn works out the response of the model once. Proposals, in their order: names, steps and
 noise from the matrix, beside the likeliest noise by a look of the filter; what no combination of
-columns shows (``beyond_columns``); laws. Of a choice that fails, half is tried. If no proposal
-raises the score, the climb ends.
+columns shows (``beyond_columns``); laws; a selection about a fit with all names. Of a choice that
+fails, half is tried. If no proposal raises the score, the climb ends.
 """
 
 from __future__ import annotations
@@ -152,14 +152,11 @@ def _next(c: Climb, model: Model) -> Model | None:
         priors = replace(priors, refused=priors.refused | (end - own))
     if c.named:
         return None
-    far = _from_afar(c, model, r)
-    if far is not None:
-        return far
     others = other_ways(model, r.worth, c.refused, c.kept)
     other = next((new for new in others if raises(model, new, r.worth)), None)
     if other is not None or c.budget.spent("laws that have no name"):
         return other
-    return _with_law(c, model, r, priors, now)
+    return _with_law(c, model, r, priors, now) or _from_afar(c, model, r)
 
 
 def _from_afar(c: Climb, model: Model, r: Response) -> Model | None:
