@@ -103,7 +103,7 @@ def test_constants_of_each_window_add_up_to_what_acts_throughout(model: Model) -
     does that is always there."""
     (ground,) = grounds(model)
     windows = short_windows.windows_about(ground)
-    count, t = len(windows.phase), windows.edges
+    count, t = windows.count, windows.edges
     for sensor in (0, 1):
         q = short_windows.looked_at(model.ids, ground, windows, [sensor])
         for axis, begin in product(range(3), (0, count // 3, count // 2)):

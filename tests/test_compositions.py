@@ -4,7 +4,6 @@ short windows promises is what a scan says."""
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -28,11 +27,10 @@ from handcal.laws.over_drivers import Block, best_of_block, over, signals_of
 from handcal.laws.short_windows import (
     MOST_WINDOWS,
     WINDOW,
-    count_of,
+    Windows,
     courses_of,
     fits_in,
     gains_of,
-    windows_of,
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside, beside
@@ -143,13 +141,12 @@ def test_a_gap_leaves_its_windows_empty_and_every_other_in_its_place() -> None:
     t = np.arange(0.0, 12.0, 0.01)
     t = t[(t < 4.0) | (t > 7.0)]
     turns = np.column_stack([np.sin(t), np.cos(t), np.ones_like(t)])
-    windows = partial(windows_of, all_=t)
+    windows = Windows(np.linspace(0.0, 12.0, 37), np.arange(36))
     driver = replace(RATES[2], knots=LINE)
-    (found,) = courses_of([driver], Signals(t, turns, turns), 0, count_of(t), windows)
+    (found,) = courses_of([driver], Signals(t, turns, turns), 0, windows.count, windows.of)
     means = found.means[0, :, 0] * np.sqrt(np.mean(turns[:, 0] ** 2 + turns[:, 1] ** 2 + 1) / 3)
     middle = (np.arange(means.shape[1]) + 0.5) * WINDOW
     there = (middle < 3.8) | (middle > 7.2)
-    there[-1] = False  # (which may be longer than the others)
     np.testing.assert_allclose(means[1][there], np.sin(middle[there]), atol=0.03)  # (k of y is x)
     np.testing.assert_array_equal(means[:, (middle > 4.4) & (middle < 6.6)], 0.0)
 
