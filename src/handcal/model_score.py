@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from handcal.effects import Effect
 from handcal.estimate.case import Case
 from handcal.estimate.model import Model
+from handcal.estimate.trajectory import LONGEST
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
 PRIOR = -5.0
@@ -21,10 +22,10 @@ TERM_PRIOR = PRIOR - math.log(LAWS)
 # Errors that go with the motion that are on trial: two ways, on seven sets of axes of two sensors
 # and on the heading.
 WITH_MOTION = 30
-# Moments of a step that are on trial; and length of the short windows of errors, s, the interval
-# between looks at a held point, and the largest count of them.
+# Moments of a step that are on trial; and length of the short windows of errors, s, an epoch at
+# the least, and the largest count of them.
 MOMENTS = 16
-WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
+WINDOW, MOST_WINDOWS = LONGEST, 450
 # A name is clear when it has that share of the set that could stand in its place.
 NAMED = 0.9
 # Nats of evidence that a fit may gain after it came to rest, or sank twice, at the noise levels of
@@ -45,10 +46,9 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
 
     Noise pays for its unknown levels. A step shares its odds over the moments on trial (an IMU's:
     all short windows); where it was put at the reading that was least expected, all readings were
-    looked at. What a hand that
-    turns the device about no single point can lend to an effect counts where only that point's rest
-    tells of it. A law without a name pays for what its form was chosen from. What every
-    device has costs nothing.
+    looked at. What a hand that turns the device about no single point can lend to an effect counts
+    where only that point's rest tells of it. A law without a name pays for what its form was chosen
+    from. What every device has costs nothing.
     """
     if effect.common:
         return 0.0

@@ -16,6 +16,9 @@ from handcal.estimate.filter import Track
 from handcal.estimate.problem import Problem
 from handcal.types import Array, IntArray
 
+# Longest epoch, s: the interval between looks at a held point.
+LONGEST = 1.0 / 3.0
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -30,10 +33,6 @@ class Trajectory:
     ba: Array
     constants: Array
     markov: Array
-
-
-# Longest epoch, s: the interval between looks at a held point.
-LONGEST = 1.0 / 3.0
 
 
 def epochs(problem: Problem) -> IntArray:

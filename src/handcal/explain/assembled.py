@@ -91,15 +91,19 @@ class _Named:
     remarks: list[str]
 
 
+def learnt_of(found: Found) -> dict[str, tuple[Parameter, ...]]:
+    """Estimates of the parameters of a model's effects, by effect."""
+    fit = known(found.model, 0, inflation(found.model), moments(found)).parameters
+    return {e.id: parameters_of(fit, e) for e in found.model.effects if e.process is None}
+
+
 def uncounted(end: End) -> dict[str, str]:
     """Laws of the model that do not count, each with a sentence about it, by id: they add next to
     nothing, and nothing without a name adds more."""
     found = end.found
     if all("+=" not in e.id for e in found.model.effects):
         return {}
-    fit = known(found.model, 0, inflation(found.model), moments(found)).parameters
-    learnt = {e.id: parameters_of(fit, e) for e in found.model.effects if e.process is None}
-    laws, _ = _without_name(found, learnt)
+    laws, _ = _without_name(found, learnt_of(found))
     counts = end.wrong is not None and end.wrong.burst is not None
     if counts or not all(next_to_nothing(found.model, u) for u in laws):
         return {}

@@ -9,15 +9,12 @@ from dataclasses import dataclass
 
 from handcal.estimate.baseline import baseline, dense
 from handcal.estimate.case import case_of
-from handcal.estimate.parameters import known
-from handcal.estimate.robust import inflation
-from handcal.explain.moments import moments
-from handcal.explain.naming import entries_of, likely, parameters_of
+from handcal.explain.assembled import learnt_of
+from handcal.explain.naming import entries_of, likely
 from handcal.explain.next_motion import next_motions
 from handcal.explanation import Missing, NextMotion
-from handcal.model_score import PRIOR, better
 from handcal.motions import Motion
-from handcal.search.beyond_columns import without_noise
+from handcal.search.beyond_columns import gains_of_noise
 from handcal.search.budget import Budget
 from handcal.search.candidates import scanned_about
 from handcal.search.climb import Climb, Made, climbed
@@ -43,14 +40,9 @@ def leading(
     climb = Climb(frozenset(base.ids), frozenset(), budget, Made(), named=True)
     model = climbed(climb, base, lambda _, __: None)
     where = scanned_about(model)
-    worth = where.quadratic.worth
-    noise = {
-        e.id: better(model, other, worth) - PRIOR for e, other in without_noise(model, base.chosen)
-    }
+    noise = gains_of_noise(model, climb.kept, where.quadratic.worth)
     found = Found(model.bare, where, {}, noise)
-    fit = known(model, 0, inflation(model), moments(found)).parameters
-    learnt = {e.id: parameters_of(fit, e) for e in model.effects if e.process is None}
-    entries, unsure = entries_of(found, model.chosen, learnt, None)
+    entries, unsure = entries_of(found, model.chosen, learnt_of(found), None)
     missing = sorted(likely(entries, {}), key=lambda m: -m.log_evidence_gain)
     verdict = "cannot_tell" if unsure else "explained"
     separated = [m for m in next_motions(found, missing, (), verdict, motions) if m.separates]

@@ -245,6 +245,7 @@ class Live:
         if said and said != self.session.told.get("so_far"):
             self.say(f"So far best explained by: {'; '.join(said)}.")
         self.session.told["so_far"] = said
+        self.guide.wanted = None
         for following in so_far.next[:1]:
             titles = words.listed([words.effect_title(i) for i in following.separates])
             self.guide.wanted = asked_for(following.motion), f"It separates {titles}."

@@ -29,7 +29,7 @@ from handcal.laws.law_effect import Law, effect_of, law_of, named
 from handcal.laws.over_drivers import is_product, of_one_signal, signals_of
 from handcal.laws.weighing import beside
 from handcal.laws.weighing import gains as gains_of
-from handcal.model_score import NAMED, better, of_use, prior
+from handcal.model_score import NAMED, PRIOR, better, of_use, prior
 from handcal.search.candidates import scanned_about
 from handcal.search.plausible import sensible
 from handcal.search.space import best_set
@@ -56,10 +56,11 @@ def noise_of(model: Model, kept: Set[str]) -> list[Effect]:
     return [e for e in model.effects if e.process is not None and e.id not in kept]
 
 
-def without_noise(model: Model, kept: Set[str]) -> list[tuple[Effect, Model]]:
-    """The model without each of its noise effects, fitted."""
+def gains_of_noise(model: Model, kept: Set[str], worth: float) -> dict[str, float]:
+    """Nats that each noise effect of a model gains, prior odds not counted, by a fit without it."""
     noise = noise_of(model, kept)
-    return list(zip(noise, _fits(model, [_rest(model, e) for e in noise]), strict=True))
+    fits = _fits(model, [_rest(model, e) for e in noise])
+    return {e.id: better(model, m, worth) - PRIOR for e, m in zip(noise, fits, strict=True)}
 
 
 def unsure(model: Model, kept: Set[str], worth: float) -> tuple[Effect, Model] | None:

@@ -162,15 +162,15 @@ def _next(c: Climb, model: Model) -> Model | None:
 def _from_afar(c: Climb, model: Model, r: Response) -> Model | None:
     """The better model selected about a fit with all names. (The likelihood of strong errors is no
     quadratic: about a fit without them they promise less than they gain.)"""
-    rare = [e for e in r.effects if "@" not in e.id and e.id not in model.ids]
-    rare = [e for e in rare if name_of(e.id) not in c.refused]
-    whole = fitted(model.parts, [*model.effects, *rare])
+    out = {*model.ids, *c.refused}
+    new = [e for e in r.effects if "@" not in e.id and e.id not in out]
+    whole = fitted(model.parts, [*model.effects, *new])
     if not whole.settled or not whole.log_evidence > model.log_evidence:
         return None
     there, priors = response(whole, r.worth), _priors(c, model)
     now, best = select(there, priors, c.made.processes_in(there), whole.chosen)
-    new = _change(there, priors, now, best).of(whole, r.worth)
-    return new if raises(model, new, r.worth) else None
+    end = _change(there, priors, now, best).of(whole, r.worth)
+    return end if raises(model, end, r.worth) else None
 
 
 def _gain(model: Model, look: Look, worth: float) -> float:

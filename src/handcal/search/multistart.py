@@ -16,8 +16,8 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.model_score import PRIOR, better
-from handcal.search.beyond_columns import by_convention, swaps_of, unsure, without_noise
+from handcal.model_score import better
+from handcal.search.beyond_columns import by_convention, gains_of_noise, swaps_of, unsure
 from handcal.search.budget import Budget, Report, part_of
 from handcal.search.candidates import scanned_about
 from handcal.search.climb import Climb, Made, climbed
@@ -140,7 +140,7 @@ def _end(c: Climb, start: Model, report: Report) -> Found:
         model = climbed(replace(c, refused=frozenset(refused)), model, report)
     where = scanned_about(model, refused)
     worth = where.quadratic.worth
-    noise = {e.id: better(model, m, worth) - PRIOR for e, m in without_noise(model, c.kept)}
+    noise = gains_of_noise(model, c.kept, worth)
     swaps = swaps_of(model, refused, c.kept, worth)
     late = by_convention(model, swaps)
     if late is not None:
