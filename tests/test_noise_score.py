@@ -24,6 +24,7 @@ from handcal.laws import with_motion
 from handcal.observations.fixed_position import CREEP, CREEPING, SWAY, Sway
 from handcal.observations.known_input import MOTION, InMotion
 from handcal.recordings.inputs import load
+from handcal.search.beyond_columns import other_ways
 from handcal.search.drifting_point import begun
 from handcal.search.noise_scan import looks_of
 from handcal.types import Markov
@@ -203,3 +204,19 @@ def test_what_a_process_weighs_without_its_matrices(process: Markov, moves: bool
     want = noise_levels.weighed(process, many, dt, rate, by_Phi, by_Q)
     found = process.weighed(many, dt, rate, by_Phi, by_Q)  # type: ignore[attr-defined]
     assert np.allclose(found, want, rtol=1e-10, atol=1e-12)
+
+
+def test_one_noise_is_exchanged_for_another(tmp_path: Path) -> None:
+    """An error that goes with the attitude absorbs most of a walk of the bias, and the walk gains
+    nothing beside it. In its place the evidence rises. (About a poor first fit the wrong one was
+    chosen, and the climb ended with it.)"""
+    number = next(n for n in range(9) if "gyro_bias_walk" in draw("walks", n, 0)[1].effects)
+    world, _ = draw("walks", number, 0)
+    write(world, tmp_path / "walk.mcap", truth=False)
+    base = begun([case_of(load(tmp_path / "walk.mcap"), "fixed-point")])
+    wrong = with_motion.effect("gyro", (0, 1, 2), "attitude")
+    model = fitted(base.parts, [*base.effects, wrong])
+    ends = list(other_ways(model, 1.0, frozenset(), frozenset(base.ids)))
+    best = max(ends, key=lambda m: m.log_evidence)
+    assert best.log_evidence > model.log_evidence
+    assert [i for i in best.ids if i not in base.ids] == ["gyro_bias_walk"]

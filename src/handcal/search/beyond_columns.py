@@ -1,8 +1,9 @@
 """Changes of a model that no combination of columns shows, each decided by a fit.
 
 They are: a filter on the other side of other errors; a law's numbers; a law on fewer axes; one of
-two effects that are equal to first order in the other's place; a filter whose lag delays have
-absorbed; and the model without noise, or without a weak name whose own scores scatter much.
+two effects that are equal to first order in the other's place; another noise in the place of one;
+a filter whose lag delays have absorbed; and the model without noise, or without a weak name whose
+own scores scatter much.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from handcal.laws.weighing import beside
 from handcal.laws.weighing import gains as gains_of
 from handcal.model_score import NAMED, PRIOR, better, of_use, prior
 from handcal.search.candidates import scanned_about
+from handcal.search.noise_scan import all_noise, looks_of
 from handcal.search.plausible import sensible
 from handcal.search.space import best_set
 from handcal.types import Array
@@ -38,6 +40,8 @@ from handcal.types import Array
 # Divisor of the evidence between two effects that are equal to first order. It varies by as much
 # as eleven nats with the hand's sway, whichever of them is the cause.
 ALIKE = 4.0
+# Nats by which noise at the best of a few levels may fall behind a fit.
+COARSE = 10.0
 # Gain below which a rare name's own scores are looked at, nats.
 CLOSE = 20.0
 
@@ -48,12 +52,25 @@ def other_ways(model: Model, worth: float, refused: Set[str], kept: Set[str]) ->
     sets += [_rest(model, e) for e in noise_of(model, kept)]
     calls = (partial(fitted, model.parts, x, of_use=of_use(model, x, worth)) for x in sets)
     yield from in_parallel(calls)
+    yield from _other_noise(model, worth, refused, kept)
     yield from _hidden(model, worth, refused)
 
 
 def noise_of(model: Model, kept: Set[str]) -> list[Effect]:
     """The noise effects of a model that are not part of its baseline."""
     return [e for e in model.effects if e.process is not None and e.id not in kept]
+
+
+def _other_noise(model: Model, worth: float, refused: Set[str], kept: Set[str]) -> Iterator[Model]:
+    """The model with the likeliest other noise in the place of each of its own, by looks of both
+    at the same few levels."""
+    out = [e for e in all_noise() if e.id not in {*model.ids, *refused}]
+    for mine in noise_of(model, kept):
+        looks = looks_of(model.parts, _rest(model, mine), [mine, *out], len(out) + 1)
+        own = next(look.gain for look in looks if look.effects[-1] is mine)
+        look = next((look for look in looks if look.effects[-1] is not mine), None)
+        if look is not None and look.gain > own - COARSE:
+            yield fitted(look.parts, look.effects, of_use=of_use(model, look.effects, worth))
 
 
 def gains_of_noise(model: Model, kept: Set[str], worth: float) -> dict[str, float]:
