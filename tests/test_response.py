@@ -19,7 +19,7 @@ from handcal.estimate.quadratic import Quadratic, log_evidence
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.laws import with_motion
-from handcal.laws.short_windows import means
+from handcal.laws.short_windows import constants, means
 from handcal.search.noise_scan import looks_of
 from handcal.search.response import (
     Columns,
@@ -104,6 +104,24 @@ def test_named_effects_are_as_a_scan_has_them(some: tuple[Model, Response]) -> N
     assert [matrix.quadratic.names[i] for i in at] == list(q.names)
     np.testing.assert_allclose(matrix.quadratic.b[at], q.b, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(matrix.quadratic.G[np.ix_(at, at)], q.G, rtol=1e-6, atol=1e-4)
+
+
+def test_windows_add_up_to_constants(some: tuple[Model, Response]) -> None:
+    """A constant on each axis, followed through a whole pass, is the sum of all its windows: alone,
+    with each other, and with effects that have a name. (Biases are integrated out, so that nearly
+    all of it cancels.)"""
+    model, matrix = some
+    whole = [constants(*channel, 1) for channel in matrix.windows.at]
+    q = scan(model, [*matrix.effects, *whole], worth=1.0)
+    own = [k for k, (owner, _) in enumerate(q.names) if owner.startswith("windows")]
+    names = [q.names.index(matrix.quadratic.names[i]) for i in matrix.named]
+    sums = np.zeros((len(own), len(matrix.quadratic.b)))
+    for row, at in zip(sums, matrix.windows.at.values(), strict=True):
+        row[at] = 1.0
+    G = sums @ matrix.quadratic.G
+    np.testing.assert_allclose(sums @ matrix.quadratic.b, q.b[own], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(G @ sums.T, q.G[np.ix_(own, own)], rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(G[:, matrix.named], q.G[np.ix_(own, names)], rtol=1e-6, atol=1e-3)
 
 
 @pytest.mark.prove

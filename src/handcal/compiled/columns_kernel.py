@@ -248,22 +248,16 @@ def followed(
     epochs: tuple[int, int],
 ) -> None:
     """Innovations nu (s, c) of further columns beside a pass that has been made already, from one
-    epoch up to another, of which this is called one after the other.
+    epoch up to another.
 
-    gain (s, m): of that pass; driven: D (K, v, c) and g (s, c) of these epochs, as in ``Reduced``,
-    and what they are multiplied by (c,). What is carried on is work.X.
+    gain (s, m): of that pass; driven: D (K + 1, v, c) of these epochs and the next one, and g
+    (s, c) of these, as in ``Reduced``, and what they are multiplied by (c,). work.X: the columns of
+    the state at the first epoch before its observations; then those at the next one.
     """
     scale = driven[2]
     X, m, columns = work.X, len(work.X), nu.shape[1]
     e, before = a.Phi_e.shape[1], a.first[epochs[0]]
     for j in range(epochs[0], epochs[1]):
-        if j > 0:
-            list_entries(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], work.entries)
-            times_entries(work.entries, X, work.carried)
-            copy2(work.carried, X)
-            for i in range(m - e):
-                for c in range(columns):
-                    X[i, c] += scale[c] * driven[0][j - epochs[0], i, c]
         begin, last = a.first[j], a.first[j + 1]
         while begin < last:
             end = min(last, begin + len(work.some))
@@ -278,6 +272,13 @@ def followed(
                     nu[q - before, c] = own[c]
             add_product(work.gains, work.some, end - begin, X)
             begin = end
+        if j + 1 < len(a.A):
+            list_entries(a.A[j + 1], a.B[j + 1], a.Phi_e[j + 1], a.Phi_psi[j + 1], work.entries)
+            times_entries(work.entries, X, work.carried)
+            copy2(work.carried, X)
+            for i in range(m - e):
+                for c in range(columns):
+                    X[i, c] += scale[c] * driven[0][j + 1 - epochs[0], i, c]
 
 
 @lean

@@ -28,10 +28,6 @@ from handcal.types import Array, IntArray
 T = TypeVar("T")
 # Constants times nodes whose slopes are computed together (some 100 MB).
 SLOPES = 5e6
-# Innovations that are computed at a time (16 MB).
-PIECE = 2e6
-# Columns whose products with all before them are taken at once.
-BLOCK = 512
 
 
 @dataclass(frozen=True)
@@ -175,7 +171,7 @@ def _with(reduction: Reduction, effects: Sequence[Effect]) -> Reduction:
 
 @dataclass(frozen=True)
 class Spread:
-    """A pass with constants that differ from epoch to epoch; log_likelihood: a, b, G."""
+    """A pass with constants in windows; log_likelihood: a, b, G."""
 
     reduction: Reduction
     log_likelihood: tuple[float, Array, Array]
@@ -185,61 +181,84 @@ def spread(
     about: Ground,
     pattern: Sequence[Effect],
     effects: Sequence[Effect],
-    place: IntArray,
+    window: IntArray,
     beside: Wider | None = None,
 ) -> Spread:
-    """The pass with columns for constants that differ from epoch to epoch.
+    """The pass with columns for constants that differ from window to window.
 
-    pattern: effects that define the action of c constants. place (K, c): index into the constants
-    of ``effects`` that each of these is from epoch k to the next. beside: the same pass with other
-    further constants. Columns are computed in pieces, so that thousands of them take little memory.
+    pattern: effects that define the action of c constants. window (K,): the window of each epoch,
+    ascending; effects: those constants in every window, one constant after the other. beside: the
+    same pass with other further constants.
+
+    After its window a column is only an error of the state, of m numbers, and what any later
+    window makes of these is known from one backward recursion of their information (m, m). So
+    n columns take n^2 m products, however many observations follow.
     """
-    done, names = about.done, [(s.owner, s.name) for s in slots_of(pattern)]
-    D_one, g_one = _driven(about, pattern, names, None)
-    scale = np.array([s.prior_sigma for s in slots_of(effects)])
-    columns, first = len(scale), done.reduction.first
     there, (a0, b0, G0) = (
-        (done.nu, done.log_likelihood) if beside is None else (beside.nu, beside.log_likelihood)
+        (about.done.nu, about.done.log_likelihood)
+        if beside is None
+        else (beside.nu, beside.log_likelihood)
     )
-    epoch = np.searchsorted(first, np.arange(len(done.S)), side="right") - 1
-    # (a column is zero until its epoch: in the order of these, those that have begun come first)
-    begun: IntArray = np.full(columns, len(place))
-    np.minimum.at(begun, place, np.arange(len(place))[:, None])
-    order = np.argsort(begun, kind="stable")
-    rank = np.argsort(order)
-    begun, place, scale = begun[order], rank[place], scale[order]
-    work, known = _work(done, columns), 1 + len(b0)
-    gram: Array = np.zeros((columns, known + columns))
-    step = max(1, int(PIECE / max(columns, 1) * len(place) / max(len(done.S), 1)))
-    for a in range(0, len(place), step):
-        b = min(a + step, len(place))
-        s, k = slice(first[a], first[b]), np.arange(max(a, 1), b)
-        D = np.zeros((b - a, D_one.shape[1], columns))
-        g = np.zeros((first[b] - first[a], columns))
-        for c in range(place.shape[1]):
-            D[k - a, :, place[k - 1, c]] += D_one[k, :, c]
-            g[np.arange(len(g)), place[epoch[s], c]] += g_one[s, c]
-        nu = np.empty_like(g)
-        kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (a, b))
-        # (a diverged pass may have negative variances; its sums mean nothing)
-        weight = 1.0 / np.sqrt(np.abs(done.S[s]))[:, None]
-        _add_products(weight * there[s], weight * nu[:, : np.searchsorted(begun, b)], gram)
-    gram = gram[rank]
-    mixed, own = gram[:, :known], gram[:, known:][:, rank]
-    own = np.where(np.less.outer(rank, rank), own.T, own)
-    whole = np.block([[G0, mixed[:, 1:].T], [mixed[:, 1:], own]])
-    reduction = done.reduction if beside is None else beside.reduction
-    return Spread(_with(reduction, effects), (a0, np.r_[b0, -mixed[:, 0]], whole))
+    nu, ends, at = _within(about, pattern, window)
+    m, count = about.done.gain.shape[1], len(ends)
+    channels, known = nu.shape[1] - m, len(b0)
+    there = there / np.sqrt(np.abs(about.done.S))[:, None]
+    information, right = np.zeros((m, m)), np.zeros((m, there.shape[1]))
+    looks, mixed = [], np.zeros((count, channels, 1 + known))
+    for w in reversed(range(count)):
+        own, end = nu[at[w] : at[w + 1]], ends[w]
+        gram = own.T @ own + end.T @ information @ end
+        sums = own.T @ there[at[w] : at[w + 1]] + end.T @ right
+        information, right, mixed[w] = gram[:m, :m], sums[:m], sums[m:]
+        looks.append(gram[:, m:])
+    by_channel = mixed.transpose(1, 0, 2).reshape(-1, 1 + known)
+    whole = np.empty((known + len(by_channel), known + len(by_channel)))
+    whole[:known, :known] = G0
+    whole[known:, :known], whole[:known, known:] = by_channel[:, 1:], by_channel[:, 1:].T
+    _fill(whole[known:, known:], looks[::-1], ends)
+    reduction = about.done.reduction if beside is None else beside.reduction
+    return Spread(_with(reduction, effects), (a0, np.r_[b0, -by_channel[:, 0]], whole))
 
 
-def _add_products(known: Array, some: Array, gram: Array) -> None:
-    """Add the products of columns (s, c) with known ones (s, k) and with each other, of these the
-    lower half, to the first c rows of gram (n, k + n)."""
-    k, count = known.shape[1], some.shape[1]
-    gram[:count, :k] += some.T @ known
-    for i in range(0, count, BLOCK):
-        j = min(i + BLOCK, count)
-        gram[i:j, k : k + j] += some[:, i:j].T @ some[:, :j]
+def _within(
+    about: Ground, pattern: Sequence[Effect], window: IntArray
+) -> tuple[Array, list[Array], IntArray]:
+    """What an error of each of the m numbers of the state at the start of a window, and each of
+    the c constants in it, does: innovations in the window (s, m + c), over their sigmas, the state
+    at the start of the next one (m, m + c), and the first scalar of each window."""
+    done, slots = about.done, slots_of(pattern)
+    D, g = _driven(about, pattern, [(s.owner, s.name) for s in slots], None)
+    m = done.gain.shape[1]
+    D, g = (np.concatenate([np.zeros((*x.shape[:-1], m)), x], axis=-1) for x in (D, g))
+    scale = np.r_[np.ones(m), [s.prior_sigma for s in slots]]
+    start = np.searchsorted(window, np.arange(window[-1] + 2))
+    nu, ends, work = np.empty_like(g), [], _work(done, len(scale))
+    at = done.reduction.first[start]
+    for a, b, s in zip(start, start[1:], map(slice, at, at[1:]), strict=False):
+        work.X[:] = np.eye(*work.X.shape) * (np.arange(work.X.shape[1]) < m)
+        driven = D[a : b + 1], g[s], scale
+        kernel.followed(done.arrays, done.gain, driven, nu[s], work, (int(a), int(b)))
+        ends.append(work.X[:, : len(scale)].copy())
+    # (a diverged pass may have negative variances; its sums mean nothing)
+    nu /= np.sqrt(np.abs(done.S))[:, None]
+    return nu, ends, at
+
+
+def _fill(gram: Array, looks: Sequence[Array], ends: Sequence[Array]) -> None:
+    """Write the products of all columns of windows, gram (n, n). looks: of each window what its
+    constants are with the state at its start and with each other (m + c, c); ends: of ``_within``.
+    """
+    m, channels, count = len(ends[0]), looks[0].shape[1], len(ends)
+    X = np.zeros((m, channels, count))
+    for w, (look, end) in enumerate(zip(looks, ends, strict=True)):
+        rows = w + count * np.arange(channels)
+        older = (rows[:, None] - np.arange(w, 0, -1)).ravel()
+        before = X[:, :, :w].reshape(m, -1)
+        block = look[:m].T @ before
+        gram[np.ix_(rows, older)], gram[np.ix_(older, rows)] = block, block.T
+        gram[np.ix_(rows, rows)] = look[m:]
+        X[:, :, :w] = (end[:, :m] @ before).reshape(m, channels, w)
+        X[:, :, w] = end[:, m:]
 
 
 def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:

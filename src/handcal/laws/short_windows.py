@@ -98,9 +98,8 @@ def looked_at(
     channels = [(sensor, axis) for sensor in sensors for axis in AXES_OF[sensor]]
     count = windows.count
     pattern = [constants(*channel, 1) for channel in channels]
-    place = windows.first[:, None] + count * np.arange(len(channels))
     every = [constants(*channel, count) for channel in channels]
-    done = spread(about, pattern, every, place, beside)
+    done = spread(about, pattern, every, windows.first, beside)
     return local(done, frozenset([*ids, *(e.id for e in every)])).quadratic
 
 
