@@ -235,7 +235,7 @@ def _within(
     nu, ends, work = np.empty_like(g), [], _work(done, len(scale))
     at = done.reduction.first[start]
     for a, b, s in zip(start, start[1:], map(slice, at, at[1:]), strict=False):
-        work.X[:] = np.eye(*work.X.shape) * (np.arange(work.X.shape[1]) < m)
+        work.X[:] = np.eye(*work.X.shape)
         driven = D[a : b + 1], g[s], scale
         kernel.followed(done.arrays, done.gain, driven, nu[s], work, (int(a), int(b)))
         ends.append(work.X[:, : len(scale)].copy())
@@ -245,9 +245,9 @@ def _within(
 
 
 def _fill(gram: Array, looks: Sequence[Array], ends: Sequence[Array]) -> None:
-    """Write the products of all columns of windows, gram (n, n). looks: of each window what its
-    constants are with the state at its start and with each other (m + c, c); ends: of ``_within``.
-    """
+    """Write the products of all columns of windows, gram (n, n). looks: of each window the
+    products of its constants with the state at its start, and with each other, (m + c, c); ends: of
+    ``_within``."""
     m, channels, count = len(ends[0]), looks[0].shape[1], len(ends)
     X = np.zeros((m, channels, count))
     for w, (look, end) in enumerate(zip(looks, ends, strict=True)):
