@@ -130,15 +130,15 @@ class Response:
 class Columns:
     """An effect as combinations F (n, r) of the windows of some channels, whose places are ``at``:
     r columns for each channel, one channel's after the other's, in units of their priors. levels:
-    of noise. b (m,) and named (m, k): its part of the quadratic, and products with the constants of
-    effects."""
+    of noise. b (m,) and along (m, k): its part of the quadratic, and products with all constants
+    of the matrix."""
 
     effect: Effect
     at: tuple[IntArray, ...]
     F: Array
     levels: Levels
     b: Array
-    named: Array
+    along: Array
 
 
 def response(model: Model, worth: float | None = None) -> Response:
@@ -345,11 +345,9 @@ def columns(r: Response, e: Effect, at: tuple[IntArray, ...], F: Array, levels: 
     """The combinations F (n, r) of the windows at these places (n,) each, with their products."""
     q = r.quadratic
     b = np.concatenate([F.T @ q.b[i] for i in at])
-    named = np.vstack([F.T @ q.G[np.ix_(i, r.named)] for i in at])
-    return Columns(e, at, F, levels, b, named)
+    return Columns(e, at, F, levels, b, np.vstack([F.T @ q.G[i] for i in at]))
 
 
-def products(r: Response, x: Columns, y: Columns) -> Array:
+def products(x: Columns, y: Columns) -> Array:
     """Their part (m, m') of the matrix."""
-    G = r.quadratic.G
-    return np.block([[x.F.T @ G[np.ix_(i, j)] @ y.F for j in y.at] for i in x.at])
+    return np.hstack([x.along[:, j] @ y.F for j in y.at])

@@ -142,15 +142,15 @@ def space_beside(
     b = np.concatenate([q.b[m], *(s.b for s in steps)])
     G = np.block(
         [
-            [q.G[np.ix_(m, m)], *(s.named.T for s in steps)],
-            *([s.named, *(products(r, s, t) for t in steps)] for s in steps),
+            [q.G[np.ix_(m, m)], *(s.along[:, m].T for s in steps)],
+            *([s.along[:, m], *(products(s, t) for t in steps)] for s in steps),
         ]
     )
     a = r.worth * q.a
     if noise:
         some = list(noise.values())
-        A = np.block([[products(r, x, y) for y in some] for x in some])
-        X = np.block([[x.named, *(products(r, x, s) for s in steps)] for x in some])
+        A = np.block([[products(x, y) for y in some] for x in some])
+        X = np.block([[x.along[:, m], *(products(x, s) for s in steps)] for x in some])
         gained, b, G = _beside(A, np.concatenate([x.b for x in some]), X, b, G)
         a += r.worth * gained
     b, G = r.worth * b, r.worth * G
@@ -257,14 +257,14 @@ def windows_beside(
     effects = [e for e in r.effects if e.id in names]
     own = {e.id for e in effects}
     index = np.flatnonzero([owner in own for owner, _ in q.names])
-    V = [(index, wide_root(q, effects, index))]
-    V += [(i, c.F) for c in noise.values() for i in c.at]
-    b = np.concatenate([F.T @ q.b[i] for i, F in V])
-    X = np.hstack([q.G[np.ix_(w, i)] @ F for i, F in V])
-    A = np.block([[F.T @ q.G[np.ix_(i, j)] @ K for j, K in V] for i, F in V])
+    root = wide_root(q, effects, index)
+    along = np.vstack([root.T @ q.G[index], *(c.along for c in noise.values())])
+    own_b = np.concatenate([root.T @ q.b[index], *(c.b for c in noise.values())])
+    by_noise = [along[:, i] @ c.F for c in noise.values() for i in c.at]
+    A = np.hstack([along[:, index] @ root, *by_noise])
     axes = len(AXES_OF[sensor])
     n = len(w) // axes
-    _, b, G = _beside(A, b, X.T, q.b[w], q.G[np.ix_(w, w)])
+    _, b, G = _beside(A, own_b, along[:, w], q.b[w], q.G[np.ix_(w, w)])
     return b.reshape(axes, n), G.reshape(axes, n, axes, n)
 
 
