@@ -22,6 +22,29 @@ def schemas() -> dict[str, Document]:
     return {f.stem: json.loads(f.read_text("utf-8")) for d in FOLDERS for f in sorted(d.iterdir())}
 
 
+def same(schema: Any) -> Any:
+    """A schema in the one form of those that accept the same documents."""
+    if isinstance(schema, list):
+        return [same(s) for s in schema]
+    if not isinstance(schema, dict):
+        return schema
+    out = {key: same(value) for key, value in schema.items()}
+    if "oneOf" in out:  # (null or an object: they exclude each other)
+        out["anyOf"] = out.pop("oneOf")
+    if isinstance(out.get("type"), list) and "object" in out["type"]:
+        kept = {key: out.pop(key) for key in ("description", "x-when") if key in out}
+        out = kept | {"anyOf": [out | {"type": "object"}, {"type": "null"}]}
+    if "anyOf" in out:
+        out["anyOf"] = sorted(out["anyOf"], key=lambda way: json.dumps(way, sort_keys=True))
+    for way in (out, *out.get("anyOf", ())):
+        if isinstance(way.get("required"), list):
+            way["required"] = sorted(way["required"])
+            way["required"] or way.pop("required")
+    if out.get("additionalProperties") is True:
+        del out["additionalProperties"]
+    return out
+
+
 def name_of(document: Document) -> str | None:
     """Which schema a result follows, None if it is none of ours."""
     method = document.get("method", "")

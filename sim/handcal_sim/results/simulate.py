@@ -1,0 +1,66 @@
+"""What `handcal simulate` keeps of a recording."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NotRequired, TypedDict
+
+from handcal.results.kinds import Floats, Kind, Number, Texts, Two, Vector
+
+
+class Truth(TypedDict):
+    """What a simulated recording was made of: the one JSON message of its topic
+    `/truth/parameters`."""
+
+    schema: Kind[Literal["handcal-sim/truth/1"]]
+    scenario: str
+    duration_s: float
+    rests: Annotated[list[Two[float]], "From, to, s."]
+    asked: Annotated[dict[str, Floats], "As `--effect` has them."]
+    effects: Annotated[dict[str, list[TruthEffect]], "All that is injected: by id, SI."]
+    mean_walk: Annotated[MeanWalk, "Of the biases beyond their start."]
+    start: Start
+    hand: Annotated[TruthHand, "Root mean squares for each axis."]
+    earth: Earth
+    phone: Annotated[
+        dict[str, Any], "The device as the simulator has it; for looking up, not fixed."
+    ]
+    concealed: NotRequired[
+        Annotated[
+            Texts, "`--effect` of others than the simulator's own.", "with effects of your own"
+        ]
+    ]
+
+
+class TruthEffect(TypedDict):
+    name: str
+    value: Number
+    unit: str
+
+
+class MeanWalk(TypedDict):
+    gyro: Annotated[Vector, "rad/s"]
+    accel: Annotated[Vector, "m/s^2"]
+
+
+class Start(TypedDict):
+    heading: Annotated[float, "rad"]
+    pitch: Annotated[float, "rad"]
+    roll: Annotated[float, "rad"]
+    direction: int
+
+
+class TruthHand(TypedDict):
+    sway_m: float
+    sway_per_rate_m: float
+    wobble_rad: float
+    wobble_per_rate_rad: float
+    tremor_m: float
+    tremor_rad_s: float
+    creep_m: float
+
+
+class Earth(TypedDict):
+    gravity: Annotated[float, "m/s^2"]
+    rate: Annotated[Vector, "rad/s"]
+    gravity_error: float
+    rate_error: Two[float]

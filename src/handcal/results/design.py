@@ -1,0 +1,74 @@
+"""What the commands of `handcal design` write."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypedDict
+
+from handcal.results.kinds import Count, Kind, Number, Texts, Vector, Version
+from handcal.results.parts import Expected
+
+
+class DesignedMotion(TypedDict):
+    """Which turn to make next."""
+
+    schema: Kind[Literal["handcal/design-motion/1"]]
+    version: Version
+    after: Annotated[str | None, "The recording; null where nothing is recorded."]
+    observations: Annotated[Texts, "Kinds."]
+    before: list[Before]
+    motions: Annotated[list[Motion], "The best first."]
+    warnings: Annotated[Texts, "In sentences."]
+
+
+class Before(TypedDict):
+    effect: str
+    name: str
+    sigma: float
+    prior_sigma: float
+    unit: str
+
+
+class Motion(TypedDict):
+    motion: Annotated[str, "What to do."]
+    seconds: float
+    times_smaller: Annotated[float, "The uncertainty becomes."]
+    sigma: list[Sigma]
+
+
+class Sigma(TypedDict):
+    effect: str
+    name: str
+    sigma: Annotated[float, "Afterwards."]
+    unit: str
+
+
+class DesignedPoses(TypedDict):
+    """A set of poses, and how good it is."""
+
+    schema: Kind[Literal["handcal/design-poses/1"]]
+    version: Version
+    effects: Annotated[Texts, "Ids."]
+    known: Annotated[Literal["norm", "pose", "rate", "spin"], "What is known of a pose."]
+    criterion: Literal["D", "A", "condition"]
+    way: Annotated[str, "All at once, or sequential."]
+    rate: Annotated[Number, "Of the table, rad/s."]
+    poses: list[Pose]
+    d_efficiency: Annotated[float, "1 is the best."]
+    a_efficiency: Annotated[float, "1 is the best."]
+    condition: Annotated[float, "Condition number."]
+    best_condition: Annotated[float, "The least possible."]
+    d_efficiency_held_within_5_deg: Annotated[float, "In 19 of 20 tries."]
+    reading_noise: ReadingNoise
+    parameters: list[Expected]
+    seed: Count
+
+
+class Pose(TypedDict):
+    up: Annotated[Vector, "In body axes."]
+    elevation_deg: Annotated[Vector, "Of x y z above the horizon."]
+    instruction: Annotated[str, "How to lay it."]
+
+
+class ReadingNoise(TypedDict):
+    gyro: Annotated[float, "rad/s"]
+    accel: Annotated[float, "m/s^2"]
