@@ -1,23 +1,25 @@
-"""Writes docs/results.md, what stands in the JSON of each command, from the schemas; `make docs`
-runs it."""
+"""Writes docs/results.md, what stands in the JSON of each command, from the types of the
+results; `make docs` runs it."""
 
 from __future__ import annotations
 
-import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import handcal.results
+import handcal_sim.results
+
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (ROOT / "src/handcal/schemas", ROOT / "sim/handcal_sim/schemas")
 FILE = ROOT / "docs/results.md"
 INTRODUCTION = """# Results as JSON
 
 *Reference.* The results that `--json FILE` writes, command by command (`-` is standard output). Every result says in `schema` what it is; the number at its end changes when something is taken away or changes its meaning, and not when something is added. Numbers are SI unless their names or texts say otherwise; `null` stands for a number that there is not, and lists are never null. What stands here as a [part](#parts) is described once, below.
 
-The schemas themselves (JSON Schema, draft 2020-12) are in [`src/handcal/schemas`](../src/handcal/schemas) and [`sim/handcal_sim/schemas`](../sim/handcal_sim/schemas), one file a command; each needs no other, and allows nothing but what it names, so a result of a newer handcal may be refused by the schema of an older one. Results written before something was added lack it and are valid all the same.
+The schemas themselves (JSON Schema, draft 2020-12) are made from the types in `handcal.results` and `handcal_sim.results`: `handcal.results.schemas()` gives them by name, and the wheel has them as files, `handcal/schemas/calibrate.json` and so on. Each needs no other, and allows nothing but what it names, so a result of a newer handcal may be refused by the schema of an older one. Results written before something was added lack it and are valid all the same.
 
-This page is written by `make docs` from those files.
+This page is written by `make docs` from those types.
 """  # noqa: E501
 TYPES = {"string": "text", "integer": "whole number", "boolean": "true or false",
          "array": "list", "null": "null"}  # fmt: skip
@@ -27,10 +29,15 @@ Schema = dict[str, Any]
 
 
 def schemas() -> dict[str, Schema]:
-    """By name of the file, the most used first."""
-    files = [f for folder in FOLDERS for f in sorted(folder.glob("*.json"))]
-    files.sort(key=lambda f: f.stem not in FIRST)
-    return {f.stem: json.loads(f.read_text(encoding="utf-8")) for f in files}
+    """By name, the most used first."""
+    found = handcal.results.schemas() | handcal_sim.results.schemas()
+    return {name: found[name] for name in sorted(found, key=lambda n: n not in FIRST)}
+
+
+def home(name: str) -> str:
+    """The file of the type, as linked from the page."""
+    kind = handcal.results.RESULTS.get(name) or handcal_sim.results.RESULTS[name][1]
+    return f"../{Path(str(sys.modules[kind.__module__].__file__)).relative_to(ROOT).as_posix()}"
 
 
 def kind(node: Schema) -> str:
@@ -91,9 +98,7 @@ def page() -> str:
     found = schemas()
     out = [INTRODUCTION]
     for name, schema in found.items():
-        where = next(f for f in FOLDERS if (f / f"{name}.json").exists())
-        link = f"../{where.relative_to(ROOT).as_posix()}/{name}.json"
-        text = f"{schema['description']} [`{name}.json`]({link})"
+        text = f"{schema['description']} [`{name}.json`]({home(name)})"
         out += [f"## {schema['title']}", "", text, "", table(schema), ""]
     parts = {k: v for schema in found.values() for k, v in schema.get("$defs", {}).items()}
     out += ["## Parts", ""]

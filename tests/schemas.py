@@ -10,39 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import handcal
+import handcal.results
+import handcal_sim.results
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = (ROOT / "src/handcal/schemas", ROOT / "sim/handcal_sim/schemas")
 Document = dict[str, Any]
 
 
 @cache
 def schemas() -> dict[str, Document]:
-    """By name of the file, which is that of the command."""
-    return {f.stem: json.loads(f.read_text("utf-8")) for d in FOLDERS for f in sorted(d.iterdir())}
-
-
-def same(schema: Any) -> Any:
-    """A schema in the one form of those that accept the same documents."""
-    if isinstance(schema, list):
-        return [same(s) for s in schema]
-    if not isinstance(schema, dict):
-        return schema
-    out = {key: same(value) for key, value in schema.items()}
-    if "oneOf" in out:  # (null or an object: they exclude each other)
-        out["anyOf"] = out.pop("oneOf")
-    if isinstance(out.get("type"), list) and "object" in out["type"]:
-        kept = {key: out.pop(key) for key in ("description", "x-when") if key in out}
-        out = kept | {"anyOf": [out | {"type": "object"}, {"type": "null"}]}
-    if "anyOf" in out:
-        out["anyOf"] = sorted(out["anyOf"], key=lambda way: json.dumps(way, sort_keys=True))
-    for way in (out, *out.get("anyOf", ())):
-        if isinstance(way.get("required"), list):
-            way["required"] = sorted(way["required"])
-            way["required"] or way.pop("required")
-    if out.get("additionalProperties") is True:
-        del out["additionalProperties"]
-    return out
+    """By name, which is that of the command."""
+    return handcal.results.schemas() | handcal_sim.results.schemas()
 
 
 def name_of(document: Document) -> str | None:

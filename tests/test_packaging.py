@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 from test_docs import made
 
+import handcal.results
+import handcal_sim.results
 from handcal.types import CALIBRATION_SCHEMA
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,11 +99,14 @@ def test_wheel_and_source_archive_hold_every_file_of_the_program(tmp_path):
     source, wheel = build(tmp_path)
     with zipfile.ZipFile(wheel) as z:
         held = {n for n in z.namelist() if ".dist-info/" not in n}
+        written = {Path(n).stem: json.loads(z.read(n)) for n in held if "/schemas/" in n}
     files = {p.relative_to(top).as_posix()
              for top in (ROOT / "src", ROOT / "sim")
              for p in top.rglob("*")
              if p.is_file() and "__pycache__" not in p.parts}  # fmt: skip
-    assert held == files
+    assert {n for n in held if "/schemas/" not in n} == files
+    assert written == handcal.results.schemas() | handcal_sim.results.schemas()
+    assert {"handcal/schemas/calibrate.json", "handcal_sim/schemas/sweep.json"} <= held
     with tarfile.open(source) as t:
         names = {n.partition("/")[2] for n in t.getnames()}
     assert {"pyproject.toml", "constraints.txt", "Makefile", "tests/test_packaging.py"} <= names

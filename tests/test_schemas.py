@@ -12,8 +12,6 @@ from fake_explanation import fake_explanation
 from fake_result import fake_result
 from jsonschema import Draft202012Validator
 
-import handcal.results
-import handcal_sim.results
 from handcal.commands._app import app
 from handcal.show.calibration.summary import calibration_json
 from handcal.show.explanation.document import explanation_json
@@ -39,7 +37,6 @@ ENTRIES = {
                  "residual_rms_after"},
     "recording": {"path", "duration_s", "imu_rate_hz", "streams", "assume"},
 }  # fmt: skip
-OPEN = {"phone", "stranger", "circumstances"}  # what the simulator drew, as it has it
 
 
 def nodes(schema, name=""):
@@ -59,21 +56,12 @@ def test_a_schema_is_one_and_closed(name):
     Draft202012Validator.check_schema(schema)
     assert schema["$schema"].endswith("/2020-12/schema")
     for key, node in nodes(schema):
-        if node.get("type") == "object" and key not in OPEN and "maxProperties" not in node:
+        if node.get("type") == "object":
             assert "additionalProperties" in node, (key, node)
             assert (node["additionalProperties"] is False) == ("properties" in node)
             assert set(node.get("required", ())) <= set(node.get("properties", ()))
     used = set(re.findall(r"#/\$defs/(\w+)", json.dumps(schema)))
     assert used == set(schema.get("$defs", ()))
-
-
-@pytest.mark.parametrize("name", schemas.schemas())
-def test_a_schema_from_the_types_accepts_what_the_written_one_does(name):
-    made = (handcal.results.schemas() | handcal_sim.results.schemas())[name]
-    written = schemas.schemas()[name]
-    if name == "prove":  # (had no description)
-        written["$defs"]["laws"]["description"] = made["$defs"]["laws"]["description"]
-    assert schemas.same(made) == schemas.same(written)
 
 
 def test_parts_of_one_name_are_the_same_in_all_schemas():

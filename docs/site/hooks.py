@@ -13,11 +13,14 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+import handcal.results
+import handcal_sim.results
+
 ROOT = Path(__file__).resolve().parents[2]
 OF_THE_ROOT = {"README.md": "readme.md", "CHANGELOG.md": "changelog.md",
                "CONTRIBUTING.md": "contributing.md", "SECURITY.md": "security.md",
                "CODE_OF_CONDUCT.md": "code-of-conduct.md"}  # fmt: skip
-SCHEMAS = ("src/handcal/schemas", "sim/handcal_sim/schemas")
+TYPE = re.compile(r"(\[`([a-z-]+\.json)`\]\()\.\./\w+/\w+/results/\w+\.py\)")
 LINK = re.compile(r"(\]\(|src=\"|href=\")([^)\"\s]+)")
 
 
@@ -29,9 +32,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in sorted(Path(config.docs_dir).glob("*.ipynb")):
         for uri, content in notebook(path).items():
             files.append(File.generated(config, uri, content=content))
-    for path in (p for folder in SCHEMAS for p in sorted((ROOT / folder).glob("*.json"))):
-        content = path.read_text(encoding="utf-8")
-        files.append(File.generated(config, f"schemas/{path.name}", content=content))
+    for name, schema in (handcal.results.schemas() | handcal_sim.results.schemas()).items():
+        content = json.dumps(schema, indent=2, ensure_ascii=False)
+        files.append(File.generated(config, f"schemas/{name}.json", content=content))
     return files
 
 
@@ -39,10 +42,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Links to what became a page lead to the page."""
     for source, uri in OF_THE_ROOT.items():
         markdown = re.sub(rf"\]\((?:\.\./)+{source}\b", f"]({'../' * depth(page)}{uri}", markdown)
-    for folder in SCHEMAS:
-        markdown = markdown.replace(f"](../{folder}/", "](schemas/")
-        markdown = re.sub(rf"\[([^\]]*)\]\(\.\./{folder}\)", r"\1", markdown)
-    return markdown
+    return TYPE.sub(r"\1schemas/\2)", markdown)
 
 
 def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001

@@ -8,14 +8,13 @@ from typing import (
     Annotated,
     Any,
     Literal,
-    Never,
     NotRequired,
     Union,
     get_args,
     get_origin,
     get_type_hints,
     is_typeddict,
-)  # fmt: skip
+)
 
 Schema = dict[str, Any]
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", NoneType: "null"}
@@ -62,8 +61,7 @@ def _node(hint: Any, parts: dict[str, Schema]) -> Schema:
     if origin is list:
         return {"type": "array", "items": _node(inner[0], parts)}
     if origin is dict:
-        more = {} if inner[1] in (Any, Never) else {"additionalProperties": _node(inner[1], parts)}
-        return {"type": "object"} | more
+        return {"type": "object", "additionalProperties": inner[1] is Any or _node(inner[1], parts)}
     if is_typeddict(hint):
         return _part(hint, parts) if hint.__doc__ else _object(hint, parts)
     return {} if hint is Any else {"type": PLAIN[hint]}

@@ -3,7 +3,7 @@ is the description, a second one when the key is there, and pairs are keywords o
 
 from __future__ import annotations
 
-from typing import Annotated, Never, TypeVar
+from typing import Annotated, Any, TypeVar
 
 T = TypeVar("T")
 
@@ -18,7 +18,7 @@ Positive = Annotated[float, AT_LEAST_0]
 Fraction = Annotated[float, (("minimum", 0), ("maximum", 1))]
 Texts = list[str]
 Floats = list[float]
-Empty = Annotated[dict[str, Never], (("maxProperties", 0),)]
+Empty = Annotated[dict[str, Any], (("maxProperties", 0),)]
 
 Some = Annotated[list[T], (("minItems", 1),)]
 Two = Annotated[list[T], (("minItems", 2), ("maxItems", 2))]
