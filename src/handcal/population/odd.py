@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Odd:
     told without it."""
 
     who: str
-    kind: str
+    kind: Literal["device", "recording", "gravity", "refused"]
     by_chance: float
     effect: str
     name: str

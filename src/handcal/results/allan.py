@@ -12,7 +12,7 @@ class Allan(TypedDict):
     """Noise of a device at rest."""
 
     schema: Kind[Literal["handcal/allan/1"]]
-    version: Version
+    version: NotRequired[Version]
     recording: AllanRecording
     span_s: Annotated[Two[float], "The stretch that was used."]
     channels: Six[Channel]

@@ -11,7 +11,7 @@ class Bench(TypedDict):
     """How fast, beside what."""
 
     schema: Kind[Literal["handcal/bench/1"]]
-    version: Version
+    version: NotRequired[Version]
     machine: Machine
     rounds: Count
     complete: Later[

@@ -22,7 +22,7 @@ class Calibration(TypedDict):
     """The sensor errors of a recording, or of several of one device together."""
 
     schema: Kind[Literal["handcal/calibration/1"]]
-    version: Version
+    version: NotRequired[Version]
     trust: Later[
         Annotated[
             Literal["good", "doubtful", "none"],

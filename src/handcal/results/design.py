@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Count, Kind, Number, Texts, Vector, Version
 from handcal.results.parts import Expected
@@ -12,7 +12,7 @@ class DesignedMotion(TypedDict):
     """Which turn to make next."""
 
     schema: Kind[Literal["handcal/design-motion/1"]]
-    version: Version
+    version: NotRequired[Version]
     after: Annotated[str | None, "The recording; null where nothing is recorded."]
     observations: Annotated[Texts, "Kinds."]
     before: list[Before]
@@ -46,7 +46,7 @@ class DesignedPoses(TypedDict):
     """A set of poses, and how good it is."""
 
     schema: Kind[Literal["handcal/design-poses/1"]]
-    version: Version
+    version: NotRequired[Version]
     effects: Annotated[Texts, "Ids."]
     known: Annotated[Literal["norm", "pose", "rate", "spin"], "What is known of a pose."]
     criterion: Literal["D", "A", "condition"]

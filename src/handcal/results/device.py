@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Count, Floats, Kind, Number, Texts, Version
 
@@ -11,7 +11,7 @@ class DeviceShown(TypedDict):
     """What is known of a device on a day."""
 
     schema: Kind[Literal["handcal/device-shown/1"]]
-    version: Version
+    version: NotRequired[Version]
     name: Annotated[str, "Of the device."]
     sha256: Annotated[str, "Of the device file."]
     date: Annotated[str, "The day of which it is said."]

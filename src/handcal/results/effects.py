@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Kind, Later, Version
 
@@ -11,7 +11,7 @@ class Effects(TypedDict):
     """The catalogue."""
 
     schema: Kind[Literal["handcal/effects/1"]]
-    version: Version
+    version: NotRequired[Version]
     effects: list[Effect]
 
 

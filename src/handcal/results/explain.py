@@ -14,7 +14,7 @@ class Explanation(TypedDict):
     """What the recordings hold that biases do not account for."""
 
     schema: Kind[Literal["handcal/explanation/1"]]
-    version: Version
+    version: NotRequired[Version]
     verdict: Annotated[
         Literal["nothing_missing", "explained", "unexplained", "cannot_tell"],
         "`explained`: named effects account for the mismatch; `unexplained`: something is left "

@@ -11,7 +11,7 @@ class Info(TypedDict):
     """What a file holds, and which errors it can show."""
 
     schema: Kind[Literal["handcal/info/1"]]
-    version: Version
+    version: NotRequired[Version]
     recording: InfoRecording
     units: Units
     streams: list[InfoStream]

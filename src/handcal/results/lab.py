@@ -12,7 +12,7 @@ class Paper(TypedDict):
     """A paper computed again."""
 
     schema: Kind[Literal["handcal/lab-paper/1"]]
-    version: Version
+    version: NotRequired[Version]
     number: str
     source: str
     claims: list[Claim]
@@ -43,7 +43,7 @@ class Thermal(TypedDict):
     """Biases and scale factors against temperature."""
 
     schema: Kind[Literal["handcal/lab-thermal/1"]]
-    version: Version
+    version: NotRequired[Version]
     recordings: Annotated[Texts, "Paths."]
     from_degC: float
     to_degC: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Floats, Kind, Number, Six, Texts, Vector, Version
 from handcal.results.parts import CalibrationFit, Expected, Level, Parameter, Recording
@@ -12,7 +12,7 @@ class KnownInput(TypedDict):
     """A calibration against a turntable, a dividing head or a trusted IMU."""
 
     schema: Kind[Literal["handcal/calibration/1"]]
-    version: Version
+    version: NotRequired[Version]
     method: Literal["known-input"]
     axes: Annotated[Literal["imu", "table"], "In which the parameters are."]
     recording: Recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Count, Floats, Kind, Texts, Version
 from handcal.results.parts import CalibrationFit, Level, Parameter, Recording
@@ -13,7 +13,7 @@ class Scalar(TypedDict):
     that of `calibrate`."""
 
     schema: Kind[Literal["handcal/calibration/1"]]
-    version: Version
+    version: NotRequired[Version]
     method: Literal["gravity-norm"]
     recording: Recording
     parameters: list[Parameter]

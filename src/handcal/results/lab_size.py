@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Floats, Kind, Texts, Vector, Version
 from handcal.results.parts import CalibrationFit, Level, Parameter, Recording
@@ -12,7 +12,7 @@ class Size(TypedDict):
     """Where the three accelerometers sit."""
 
     schema: Kind[Literal["handcal/calibration/1"]]
-    version: Version
+    version: NotRequired[Version]
     method: Annotated[str, (("pattern", "^size-effect from "),), "From what it was found."]
     recording: Annotated[Recording | SizeRecording, "Of a table of tests its path alone."]
     parameters: list[Parameter]

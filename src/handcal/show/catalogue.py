@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import handcal
 from handcal.effects import PLACE, Effect, Param
@@ -14,7 +14,9 @@ from handcal.units import shown
 if TYPE_CHECKING:
     from rich.console import Console
 
-SCHEMA = "handcal/effects/1"
+    from handcal import results
+
+SCHEMA: Final = "handcal/effects/1"
 GROUPS = (
     ("Gyro", ("gyro_",)),
     ("Accelerometer", ("accel_",)),
@@ -58,7 +60,7 @@ def needs(effect: Effect) -> list[str]:
     return out + ["a held point or a stream `pose`"] * (PLACE in effect.needs)
 
 
-def effects_json(known: Mapping[str, Effect]) -> dict[str, Any]:
+def effects_json(known: Mapping[str, Effect]) -> results.effects.Effects:
     """``effects --json``."""
     return {
         "schema": SCHEMA,

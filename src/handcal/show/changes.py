@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,19 +16,23 @@ from handcal.show.calibration.summary import finite
 from handcal.show.drawing import RC, XYZ, Plot, canvas, svg
 from handcal.units import shown
 
+if TYPE_CHECKING:
+    from handcal import results
+
 PARTS = ("turn_on", "ageing", "temperature", "step")
 # Rows of steps and devices drawn, beyond which a page is no help.
 MOST_STEPS, MOST_DRAWN = 30, 40
 
 
-def change_json(c: Change) -> dict[str, Any]:
+def change_json(c: Change) -> results.fleet.FleetChange:
     """As it stands in fleet.json."""
     d = c.drift
     return {
         "effect": c.effect, "name": c.name, "unit": c.unit, "recordings": d.count, "days": d.days,
         "turn_on": d.turn_on, "ageing": d.ageing, "slope": finite(d.slope),
         "slope_sigma": finite(d.slope_sigma), "slope_spread": finite(d.slope_spread),
-        "shares": dict(d.shares),
+        "shares": {"turn_on": d.shares["turn_on"], "ageing": d.shares["ageing"],
+                   "temperature": d.shares["temperature"], "step": d.shares["step"]},
         "steps": [
             {"device": s.who, "after": _time(c, s.index, -1), "until": _time(c, s.index, 0),
              "size": s.size, "sigma": s.sigma, "probability": s.probability}

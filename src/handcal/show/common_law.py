@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from handcal.laws.of_devices import SCALE, all_laws
 from handcal.population.laws import CommonLaw
 from handcal.show.drawing import RC, SHADE, XYZ, Plot, canvas, svg
 from handcal.units import shown
+
+if TYPE_CHECKING:
+    from handcal import results
 
 # How far the driver is drawn, in scales of a hand's motion, and at how many places.
 REACH, POINTS = 1.5, 201
@@ -24,7 +27,7 @@ def law_of(c: CommonLaw) -> Law:
     return all_laws()[c.index]
 
 
-def law_json(c: CommonLaw | None) -> dict[str, Any] | None:
+def law_json(c: CommonLaw | None) -> results.fleet.FleetLaw | None:
     """As it stands in fleet.json."""
     if c is None:
         return None

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -37,7 +37,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from rich.console import Console
 
-SCHEMA = "handcal/device-shown/1"
+    from handcal import results
+
+SCHEMA: Final = "handcal/device-shown/1"
 DAY = "%Y-%m-%d"
 # Before the first session and after the last, as a part of all time between them; days where there
 # is but one.
@@ -110,7 +112,7 @@ def _unit(states: Sequence[State], at: Sequence[int]) -> Shown:
     return shown(unit_of(states[0].names[at[0]]), values)
 
 
-def device_json(device: Device, when: datetime) -> dict[str, Any]:
+def device_json(device: Device, when: datetime) -> results.device.DeviceShown:
     """``device show --json``."""
     now = courses(device, when)[-1]
     return {

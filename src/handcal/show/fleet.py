@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from handcal.show.drawing import RC, SHADE, XYZ, Plot, canvas, svg, thin
 from handcal.show.html_page import page
 from handcal.trust import Trust, json_of
 from handcal.units import Shown, shown
+
+if TYPE_CHECKING:
+    from handcal import results
 
 SCHEMA = "handcal/fleet/1"
 # Rows of a table, and effects without any evidence, beyond which a page is no help.
@@ -60,13 +63,13 @@ def fleet_json(fleet: Fleet) -> dict[str, Any]:
     }
 
 
-def _model_json(m: Model) -> dict[str, Any]:
+def _model_json(m: Model) -> results.fleet.FleetModel:
     return {
         "name": m.name, "recordings": m.recordings, "devices": m.devices,
         "populations": [_population_json(c) for c in m.common],
         "stacked": [
             {"effect": s.effect, "log_evidence_gain": finite(s.gain),
-             "over_single_devices": finite(s.over_some), "probability": finite(s.probability),
+             "over_single_devices": finite(s.over_some), "probability": s.probability,
              "devices": s.devices, "best_alone": finite(s.best_alone)}
             for s in m.stacks
         ],
@@ -81,7 +84,7 @@ def _model_json(m: Model) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _population_json(c: Common) -> dict[str, Any]:
+def _population_json(c: Common) -> results.fleet.FleetPopulation:
     p = c.population
     return {
         "effect": c.effect, "name": c.name, "unit": c.unit, "devices": p.count,

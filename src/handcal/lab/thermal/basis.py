@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,7 +24,7 @@ class Basis:
     """kind "polynomial" of a degree, or "spline" (natural, cubic) with so many inner knots,
     evenly over the span low to high, degC."""
 
-    kind: str
+    kind: Literal["polynomial", "spline"]
     degree: int
     low: float
     high: float

@@ -8,7 +8,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from handcal.types import (
     Recording,
     Result,
 )
+
+if TYPE_CHECKING:
+    from handcal import results
 
 # Where the contract's name differs from that of the noise level.
 NOISE_NAMES = {"sway": "hand_sway"}
@@ -92,7 +95,7 @@ def gapped(t: Array, degrees: Array) -> tuple[Array, Array]:
 
 def parameters_json(
     parameters: Sequence[Parameter], covariance: Array | None, found: Collection[str]
-) -> list[dict[str, Any]]:
+) -> list[results.parts.Parameter]:
     """The contract's ``parameters``; found: effects that ``given_model`` has."""
     if covariance is None or len(covariance) != len(parameters):
         return [parameter_json(p) for p in parameters]
@@ -103,7 +106,7 @@ def parameters_json(
     ]
 
 
-def parameter_json(p: Parameter) -> dict[str, Any]:
+def parameter_json(p: Parameter) -> results.parts.Parameter:
     """One entry of ``parameters``, as the contract has it."""
     return {
         "effect": p.effect,
@@ -117,7 +120,7 @@ def parameter_json(p: Parameter) -> dict[str, Any]:
     }
 
 
-def untellable_json(parameters: Sequence[Parameter]) -> list[dict[str, Any]]:
+def untellable_json(parameters: Sequence[Parameter]) -> list[results.parts.Untellable]:
     """The contract's ``untellable``: what the recording cannot show."""
     return [
         {"effect": p.effect, "name": p.name, "sigma": finite(p.sigma), "unit": p.unit}

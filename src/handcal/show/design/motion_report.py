@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-SCHEMA = "handcal/design-motion/1"
+    from handcal import results
+
+SCHEMA: Final = "handcal/design-motion/1"
 SHOWN = 6
 WRAPPED = 44
 LITTLE = 1.05
@@ -51,15 +53,14 @@ def save_motion_picture(plan: Plan, path: Path) -> None:
     write_figure(lambda: _figure(plan), path)
 
 
-def motion_json(plan: Plan) -> dict[str, Any]:
+def motion_json(plan: Plan) -> results.design.DesignedMotion:
     """``design motion --json``: sigmas before and after each motion, the best motion first."""
-    before = [{"effect": p.effect, "name": p.name, "sigma": p.sigma, "prior_sigma": p.prior_sigma,
-               "unit": p.unit} for p in plan.wanted]  # fmt: skip
     return {
         "schema": SCHEMA,
         "after": None if plan.result is None else plan.result.recording.path,
         "observations": list(plan.kinds),
-        "before": before,
+        "before": [{"effect": p.effect, "name": p.name, "sigma": p.sigma,
+                    "prior_sigma": p.prior_sigma, "unit": p.unit} for p in plan.wanted],
         "motions": [{"motion": p.motion.sentence, "seconds": p.motion.duration_s,
                      "times_smaller": p.times,
                      "sigma": [{"effect": w.effect, "name": w.name, "sigma": float(s),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from handcal.effects import catalogue
 from handcal.estimate.specification import document_of
@@ -25,6 +25,9 @@ from handcal.show.calibration.how_good import quality_json
 from handcal.show.explanation.words import weighed
 from handcal.trust import json_of
 from handcal.types import EXPLANATION_SCHEMA, NoiseLevel, Parameter
+
+if TYPE_CHECKING:
+    from handcal import results
 
 
 def explanation_json(explanation: Explanation) -> dict[str, Any]:
@@ -74,7 +77,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     return document
 
 
-def _parameters_json(e: Explanation) -> list[dict[str, Any]]:
+def _parameters_json(e: Explanation) -> list[results.parts.Parameter]:
     """Of the final model, each also as it is with the effects alone that were found."""
     parameters, covariance = final_parameters(e), e.covariance
     if list(e.parameters) != parameters:
@@ -94,7 +97,7 @@ def _mismatch_json(m: Mismatch, several: bool) -> dict[str, Any]:
     return out | ({"recording": m.recording} if several else {})
 
 
-def _hypothesis_json(h: Hypothesis, known: bool) -> dict[str, Any]:
+def _hypothesis_json(h: Hypothesis, known: bool) -> results.explain.Hypothesis:
     """known: whether its probability is."""
     return {
         "effect": h.effect, "alone": summary.finite(h.alone), "final": summary.finite(h.final),
@@ -129,7 +132,7 @@ def _kinds(values: Mapping[str, float]) -> dict[str, float]:
     return {words.kind_name(k): v for k, v in _numbers(values).items()}
 
 
-def _missing_json(m: Missing) -> dict[str, Any]:
+def _missing_json(m: Missing) -> results.explain.Missing:
     return {
         "effect": m.effect,
         "probability": summary.finite(m.probability),
@@ -147,7 +150,7 @@ def _missing_json(m: Missing) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _unnamed_json(u: Unnamed) -> dict[str, Any]:
+def _unnamed_json(u: Unnamed) -> results.explain.Unnamed:
     c = u.curve
     return {
         "formula": u.formula,
@@ -170,7 +173,7 @@ def _unnamed_json(u: Unnamed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _fit_json(fit: Fit) -> dict[str, Any]:
+def _fit_json(fit: Fit) -> results.explain.ExplanationFit:
     return {
         "log_evidence": summary.finite(fit.log_evidence),
         "residual_rms": _numbers(fit.residual_rms),
@@ -179,7 +182,7 @@ def _fit_json(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _held_out_json(h: HeldOut | None) -> dict[str, Any]:
+def _held_out_json(h: HeldOut | None) -> results.explain.HeldOut | results.kinds.Empty:
     """Empty where nothing was held out."""
     if h is None:
         return {}
@@ -191,7 +194,7 @@ def _held_out_json(h: HeldOut | None) -> dict[str, Any]:
     }
 
 
-def _noise_json(noise: Sequence[NoiseLevel]) -> list[dict[str, Any]]:
+def _noise_json(noise: Sequence[NoiseLevel]) -> list[results.parts.Level]:
     return [
         {"name": summary.NOISE_NAMES.get(n.name, n.name), "value": summary.finite(n.value),
          "unit": n.unit}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -16,14 +16,17 @@ from handcal.show.lab.sheet import Sheet, Table
 from handcal.types import Array
 from handcal.units import shown
 
-SCHEMA = "handcal/lab-thermal/1"
+if TYPE_CHECKING:
+    from handcal import results
+
+SCHEMA: Final = "handcal/lab-thermal/1"
 ROWS, LINE = 7, 200
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
 # More nats than this for one curve over the next best leave no doubt worth telling.
 CLEAR = 5.0
 
 
-def thermal_json(result: Thermal) -> dict[str, Any]:
+def thermal_json(result: Thermal) -> results.lab.Thermal:
     """``lab thermal --json``: of each parameter its values at the knots that give the curve, and
     the powers of (T - zero) where it is a polynomial."""
     low, high = result.span
@@ -41,9 +44,9 @@ def thermal_json(result: Thermal) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _curve_json(c: Curve) -> dict[str, Any]:
+def _curve_json(c: Curve) -> results.lab.ThermalCurve:
     value, sigma = c.at(c.basis.knots)
-    out = {
+    out: results.lab.ThermalCurve = {
         "effect": c.effect, "name": c.name, "unit": c.unit,
         "kind": c.basis.kind, "degree": c.basis.degree,
         "absolute": c.anchored,
