@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from typing import Annotated, Literal, NotRequired, TypedDict
 
 import pytest
 import schemas
@@ -13,6 +14,8 @@ from fake_result import fake_result
 from jsonschema import Draft202012Validator
 
 from handcal.commands._app import app
+from handcal.results.json_schema import json_schema
+from handcal.results.kinds import Count, Kind, Later, Number, Two
 from handcal.show.calibration.summary import calibration_json
 from handcal.show.explanation.document import explanation_json
 
@@ -62,6 +65,33 @@ def test_a_schema_is_one_and_closed(name):
             assert set(node.get("required", ())) <= set(node.get("properties", ()))
     used = set(re.findall(r"#/\$defs/(\w+)", json.dumps(schema)))
     assert used == set(schema.get("$defs", ()))
+
+
+class Thing(TypedDict):
+    """A thing."""
+
+    schema: Kind[Literal["handcal-tests/thing/1"]]
+    size: Annotated[Number, "m"]
+    since: Later[str]
+    seen: NotRequired[Annotated[Two[Count], "Readings.", "with two"]]
+
+
+@pytest.mark.parametrize(
+    ("more", "valid"),
+    [({}, True), ({"size": 1.5, "since": "now", "seen": [0, 1]}, True), ({"size": "1"}, False),
+     ({"since": None}, False), ({"seen": [1]}, False), ({"seen": [1, -1]}, False),
+     ({"schema": "handcal-tests/thing/2"}, False), ({"colour": "red"}, False)],
+)  # fmt: skip
+def test_a_schema_accepts_what_the_type_says(more, valid):
+    schema = json_schema("thing", "A thing", Thing)
+    assert schema["$id"] == "urn:handcal-tests:schema:thing:1"
+    assert schema["description"] == "A thing."
+    seen = schema["properties"]["seen"]
+    assert (seen["description"], seen["x-when"]) == ("Readings.", "with two")
+    check = Draft202012Validator(schema)
+    assert not check.is_valid({"schema": "handcal-tests/thing/1"})
+    document = {"schema": "handcal-tests/thing/1", "size": None}
+    assert check.is_valid(document | more) == valid
 
 
 def test_parts_of_one_name_are_the_same_in_all_schemas():

@@ -76,7 +76,7 @@ class Final(TypedDict):
 class Cell(TypedDict):
     """One world and one filter over all seeds."""
 
-    schema: Literal["handcal-sim/sweep-cell/1"]
+    schema: Kind[Literal["handcal-sim/sweep-cell/1"]]
     key: Annotated[Key, "What the result depends on."]
     group: Annotated[str, "Heading under which it is shown."]
     r_h: Annotated[str, "The heading noise that the filter is told, in words."]
@@ -165,24 +165,5 @@ class Bands(TypedDict):
     high: list[Floats]
 
 
-class SweepCell(TypedDict):
+class SweepCell(Cell):
     """One finished cell, one line of the file."""
-
-    schema: Kind[Literal["handcal-sim/sweep-cell/1"]]
-    key: Annotated[Key, "What the result depends on."]
-    group: Annotated[str, "Heading under which it is shown."]
-    r_h: Annotated[str, "The heading noise that the filter is told, in words."]
-    r_h_rad: Annotated[Number, "Null: chosen by evidence."]
-    chosen_r_h_rad: Annotated[Spread | None, "Null where it was set."]
-    world: World
-    estimate: Annotated[Texts, "Effects that are states."]
-    filter: NotRequired[
-        Annotated[
-            Filter, "What the filter is told besides R_h and its states.", "of a newer program"
-        ]
-    ]
-    without_heading: Annotated[bool, "Heading counts for nothing."]
-    figures: Annotated[Two[Count] | None, "Of paper 002."]
-    parameters: list[Swept]
-    t: Annotated[Floats, "s"]
-    bands: Bands

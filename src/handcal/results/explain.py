@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Count, Empty, Floats, Kind, Later, Number, Some, Texts, Version
-from handcal.results.known import KnownDevice, KnownModel, Likelihood
+from handcal.results.known import KnownDevice, KnownModel, OwnLikelihood
 from handcal.results.model import Model
 from handcal.results.parts import Level, MarkerRotation, Parameter, Quality, Recording, Untellable
 
@@ -50,15 +50,7 @@ class Explanation(TypedDict):
         ]
     ]
     marker_rotation: NotRequired[Annotated[MarkerRotation, "", "with a `/pose`, of one recording"]]
-    likelihood: NotRequired[
-        Annotated[
-            Likelihood,
-            "What the recording itself says of biases and effects, without any prior: "
-            "log-likelihood `vector' x - x' information x / 2` of the parameters x, all else "
-            "integrated out.",
-            "with one recording",
-        ]
-    ]
+    likelihood: NotRequired[OwnLikelihood]
     quality: NotRequired[Annotated[Quality, "", "of one recording"]]
     device: NotRequired[Annotated[KnownDevice, "", "with `--device`"]]
     priors: NotRequired[Annotated[KnownModel, "", "with `--priors`"]]

@@ -38,3 +38,11 @@ class KnownModel(TypedDict):
     devices: Annotated[int, "Of how many it was learned."]
     sha256: Annotated[str, "Of the file, as it was read."]
     prior: Annotated[Prior, "What was known of its parameters."]
+
+
+OwnLikelihood = Annotated[
+    Likelihood,
+    "What the recording itself says of biases and effects, without any prior: log-likelihood "
+    "`vector' x - x' information x / 2` of the parameters x, all else integrated out.",
+    "with one recording",
+]
