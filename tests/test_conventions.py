@@ -15,8 +15,7 @@ HEAVY = ("numpy", "scipy", "numba", "filterpy", "rerun", "matplotlib")
 
 
 def test_every_public_function_has_a_docstring():
-    """Classes too; what a module with a leading underscore holds is not public. Of the types of
-    results, that say what each key is, a docstring makes a part with a name of its own."""
+    """Classes too; what a module with a leading underscore holds is not public."""
     missing = [
         f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
         for path in SOURCES
@@ -25,7 +24,6 @@ def test_every_public_function_has_a_docstring():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
         and not node.name.startswith("_")
         and ast.get_docstring(node) is None
-        and not (isinstance(node, ast.ClassDef) and path.parent.name == "results")
         and not any(ast.unparse(d) == "overload" for d in node.decorator_list)
     ]
     assert len(SOURCES) > 0

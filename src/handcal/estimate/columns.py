@@ -194,15 +194,14 @@ def spread(
     window makes of these is known from one backward recursion of their information (m, m). So
     n columns take n^2 m products, however many observations follow.
     """
-    there, (a0, b0, G0) = (
-        (about.done.nu, about.done.log_likelihood)
-        if beside is None
-        else (beside.nu, beside.log_likelihood)
-    )
+    passed = about.done if beside is None else beside
+    a0, b0, G0 = passed.log_likelihood
     nu, ends, at = _within(about, pattern, window)
+    # (a diverged pass may have negative variances; its sums mean nothing)
+    sigma = np.sqrt(np.abs(about.done.S))[:, None]
+    nu, there = nu / sigma, passed.nu / sigma
     m, count = about.done.gain.shape[1], len(ends)
     channels, known = nu.shape[1] - m, len(b0)
-    there = there / np.sqrt(np.abs(about.done.S))[:, None]
     information, right = np.zeros((m, m)), np.zeros((m, there.shape[1]))
     looks, mixed = [], np.zeros((count, channels, 1 + known))
     for w in reversed(range(count)):
@@ -216,16 +215,15 @@ def spread(
     whole[:known, :known] = G0
     whole[known:, :known], whole[:known, known:] = by_channel[:, 1:], by_channel[:, 1:].T
     _fill(whole[known:, known:], looks[::-1], ends)
-    reduction = about.done.reduction if beside is None else beside.reduction
-    return Spread(_with(reduction, effects), (a0, np.r_[b0, -by_channel[:, 0]], whole))
+    return Spread(_with(passed.reduction, effects), (a0, np.r_[b0, -by_channel[:, 0]], whole))
 
 
 def _within(
     about: Ground, pattern: Sequence[Effect], window: IntArray
 ) -> tuple[Array, list[Array], IntArray]:
     """What an error of each of the m numbers of the state at the start of a window, and each of
-    the c constants in it, does: innovations in the window (s, m + c), over their sigmas, the state
-    at the start of the next one (m, m + c), and the first scalar of each window."""
+    the c constants in it, does: innovations in the window (s, m + c), the state at the start of the
+    next one (m, m + c), and the first scalar of each window."""
     done, slots = about.done, slots_of(pattern)
     D, g = _driven(about, pattern, [(s.owner, s.name) for s in slots], None)
     m = done.gain.shape[1]
@@ -239,8 +237,6 @@ def _within(
         driven = D[a : b + 1], g[s], scale
         kernel.followed(done.arrays, done.gain, driven, nu[s], work, (int(a), int(b)))
         ends.append(work.X[:, : len(scale)].copy())
-    # (a diverged pass may have negative variances; its sums mean nothing)
-    nu /= np.sqrt(np.abs(done.S))[:, None]
     return nu, ends, at
 
 

@@ -64,7 +64,7 @@ def noise_of(model: Model, kept: Set[str]) -> list[Effect]:
 def _other_noise(model: Model, worth: float, refused: Set[str], kept: Set[str]) -> Iterator[Model]:
     """The model with the likeliest other noise in the place of each of its own, by looks of both
     at the same few levels."""
-    out = [e for e in all_noise() if e.id not in {*model.ids, *refused}]
+    out = all_noise({*model.ids, *refused})
     for mine in noise_of(model, kept):
         looks = looks_of(model.parts, _rest(model, mine), [mine, *out], len(out) + 1)
         own = next(look.gain for look in looks if look.effects[-1] is mine)

@@ -251,6 +251,5 @@ def _promises(model: Model, r: Response, choice: Choice, law: Found) -> bool:
 
 def _look(c: Climb, model: Model) -> Look | None:
     """The likeliest noise by looks of the filter; None if none gains ``LOOK``."""
-    out = [e for e in all_noise() if e.id not in {*model.ids, *c.refused}]
-    best = looks_of(model.parts, model.effects, out, 1)
+    best = looks_of(model.parts, model.effects, all_noise({*model.ids, *c.refused}), 1)
     return next((look for look in best if look.gain > LOOK), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,9 +16,10 @@ from handcal.laws import with_motion
 from handcal.model_score import prior
 
 
-def all_noise() -> list[Effect]:
-    """Noise effects of the catalogue, and motion-dependent errors."""
-    return [e for e in (*catalogue().values(), *with_motion.effects()) if e.process is not None]
+def all_noise(besides: Collection[str] = ()) -> list[Effect]:
+    """Noise effects of the catalogue, and motion-dependent errors, without those of these ids."""
+    every = (*catalogue().values(), *with_motion.effects())
+    return [e for e in every if e.process is not None and e.id not in besides]
 
 
 @dataclass(frozen=True)

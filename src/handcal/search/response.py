@@ -348,6 +348,6 @@ def columns(r: Response, e: Effect, at: tuple[IntArray, ...], F: Array, levels: 
     return Columns(e, at, F, levels, b, np.vstack([F.T @ q.G[i] for i in at]))
 
 
-def products(x: Columns, y: Columns) -> Array:
-    """Their part (m, m') of the matrix."""
-    return np.hstack([x.along[:, j] @ y.F for j in y.at])
+def products(along: Array, other: Columns) -> Array:
+    """Of columns that have these products (m, k) with all constants, those with others (m, m')."""
+    return np.hstack([along[:, j] @ other.F for j in other.at])

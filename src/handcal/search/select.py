@@ -143,14 +143,14 @@ def space_beside(
     G = np.block(
         [
             [q.G[np.ix_(m, m)], *(s.along[:, m].T for s in steps)],
-            *([s.along[:, m], *(products(s, t) for t in steps)] for s in steps),
+            *([s.along[:, m], *(products(s.along, t) for t in steps)] for s in steps),
         ]
     )
     a = r.worth * q.a
     if noise:
         some = list(noise.values())
-        A = np.block([[products(x, y) for y in some] for x in some])
-        X = np.block([[x.along[:, m], *(products(x, s) for s in steps)] for x in some])
+        A = np.block([[products(x.along, y) for y in some] for x in some])
+        X = np.block([[x.along[:, m], *(products(x.along, s) for s in steps)] for x in some])
         gained, b, G = _beside(A, np.concatenate([x.b for x in some]), X, b, G)
         a += r.worth * gained
     b, G = r.worth * b, r.worth * G
@@ -260,8 +260,7 @@ def windows_beside(
     root = wide_root(q, effects, index)
     along = np.vstack([root.T @ q.G[index], *(c.along for c in noise.values())])
     own_b = np.concatenate([root.T @ q.b[index], *(c.b for c in noise.values())])
-    by_noise = [along[:, i] @ c.F for c in noise.values() for i in c.at]
-    A = np.hstack([along[:, index] @ root, *by_noise])
+    A = np.hstack([along[:, index] @ root, *(products(along, c) for c in noise.values())])
     axes = len(AXES_OF[sensor])
     n = len(w) // axes
     _, b, G = _beside(A, own_b, along[:, w], q.b[w], q.G[np.ix_(w, w)])
