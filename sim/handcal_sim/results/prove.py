@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Count, Kind, Number, Texts, Two
 from handcal_sim.results.parts import Share
-from handcal_sim.results.prove_further import Covered, Further
+from handcal_sim.results.prove_further import Covered, _Further
 
 
 class Answers(TypedDict):
@@ -37,14 +37,14 @@ class Proof(TypedDict):
     schema: Kind[Literal["handcal-sim/proof/1"]]
     seed: Count
     suites: list[Suite]
-    effects: Annotated[dict[str, ProofEffect], "By truth."]
+    effects: Annotated[dict[str, _ProofEffect], "By truth."]
     unknown: Annotated[
         dict[str, dict[str, Count]], "By kind of unknown physics: n, unexplained, channel, formula."
     ]
-    coverage: Coverage
-    probabilities: list[Probabilities]
-    held_out: ProofHeldOut
-    further: Annotated[Further, "By suite, what it asks for beyond names."]
+    coverage: _Coverage
+    probabilities: list[_Probabilities]
+    held_out: _ProofHeldOut
+    further: Annotated[_Further, "By suite, what it asks for beyond names."]
     against: NotRequired[
         Annotated[
             dict[str, Any],
@@ -54,12 +54,12 @@ class Proof(TypedDict):
     ]
     paired: NotRequired[
         Annotated[
-            list[Paired],
+            list[_Paired],
             "By suite: how many both programs got right, one alone, or neither.",
             "with `--against`",
         ]
     ]
-    seconds: Seconds
+    seconds: _Seconds
     recordings: list[TrialLine]
 
 
@@ -77,22 +77,22 @@ class Suite(TypedDict):
     mean_set_size: Number
 
 
-class ProofEffect(TypedDict):
+class _ProofEffect(TypedDict):
     n: Annotated[Count, "Times that it was there."]
     named: Annotated[Count, "First."]
     in_set: Annotated[Count, "Among others."]
     instead: Annotated[dict[str, Count], "What else was named."]
 
 
-class Coverage(TypedDict):
+class _Coverage(TypedDict):
     effects: Annotated[dict[str, Covered], "By effect, and `all`."]
     baseline: Covered
 
 
-_Probabilities = TypedDict("_Probabilities", {"from": float})
+_From = TypedDict("_From", {"from": float})
 
 
-class Probabilities(_Probabilities):
+class _Probabilities(_From):
     to: float
     claimed: Annotated[Number, "Mean."]
     n: Count
@@ -101,12 +101,12 @@ class Probabilities(_Probabilities):
     interval: Two[float]
 
 
-class ProofHeldOut(TypedDict):
+class _ProofHeldOut(TypedDict):
     gained: Share
     median: Annotated[Number, "nats"]
 
 
-class Paired(TypedDict):
+class _Paired(TypedDict):
     suite: str
     both: Count
     this_alone: Count
@@ -117,7 +117,7 @@ class Paired(TypedDict):
     ]
 
 
-class Seconds(TypedDict):
+class _Seconds(TypedDict):
     median: Number
     p90: Number
     most: Number

@@ -29,12 +29,12 @@ class FleetProof(TypedDict):
         dict[str, dict[str, float]], "What makes that bias change, by axis, as in fleet.json."
     ]
     taught: Annotated[
-        Taught, "What learned priors are worth for devices that they were not learned from."
+        _Taught, "What learned priors are worth for devices that they were not learned from."
     ]
     mislabelled: Annotated[
         ShareOfMislabelled, "Recordings under the name of another device that are told."
     ]
-    smaller: Annotated[Smaller, "Fleets of ten devices of one model each."]
+    smaller: Annotated[_Smaller, "Fleets of ten devices of one model each."]
 
 
 class ShareOfOdd(TypedDict):
@@ -51,12 +51,12 @@ class ShareOfOdd(TypedDict):
     ]
 
 
-class Taught(TypedDict):
+class _Taught(TypedDict):
     seconds: Annotated[float, "Length of each new recording."]
-    rows: Annotated[list[Rows], "One a model of new devices and motion."]
+    rows: Annotated[list[_Rows], "One a model of new devices and motion."]
 
 
-class Rows(TypedDict):
+class _Rows(TypedDict):
     model: Annotated[str, "Of the new devices."]
     priors: Annotated[str, "The model whose priors are used."]
     motion: Annotated[str, "Of the first recording; the second one is by a free hand."]
@@ -102,7 +102,7 @@ class ShareOfMislabelled(TypedDict):
     others: Annotated[Count, "Others that are told."]
 
 
-class Smaller(TypedDict):
+class _Smaller(TypedDict):
     fleets: Annotated[Count, "How many."]
     means_within_3_sigma: Annotated[Share, "As of the whole."]
     spreads_within: Annotated[Share, "As of the whole."]

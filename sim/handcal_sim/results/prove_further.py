@@ -16,56 +16,56 @@ class Covered(TypedDict):
     rms: Annotated[Number, "Of the deviations."]
 
 
-class Further(TypedDict):
-    phone: NotRequired[Annotated[Phone, "", "of that suite"]]
-    odometry: NotRequired[Annotated[Odometry, "", "of that suite"]]
-    people: NotRequired[Annotated[People, "", "of that suite"]]
-    budget: NotRequired[Annotated[Budget, "", "of that suite"]]
+class _Further(TypedDict):
+    phone: NotRequired[Annotated[_Phone, "", "of that suite"]]
+    odometry: NotRequired[Annotated[_Odometry, "", "of that suite"]]
+    people: NotRequired[Annotated[_People, "", "of that suite"]]
+    budget: NotRequired[Annotated[_Budget, "", "of that suite"]]
     strange: NotRequired[Annotated[Laws, "", "of that suite"]]
     latest: NotRequired[Annotated[Laws, "", "of that suite"]]
-    ordinary: NotRequired[Annotated[Ordinary, "", "of that suite"]]
+    ordinary: NotRequired[Annotated[_Ordinary, "", "of that suite"]]
 
 
-class Phone(TypedDict):
+class _Phone(TypedDict):
     parameters: Annotated[dict[str, Covered], "By effect, and `all`."]
-    asked: Asked
+    asked: _Asked
     impossible: Share
 
 
-class Asked(TypedDict):
+class _Asked(TypedDict):
     target: float
     met: bool | None
 
 
-class Odometry(TypedDict):
+class _Odometry(TypedDict):
     perfect_said_to_drift: Share
     drift_found: Share
     parameters: Annotated[dict[str, Covered], "By effect, and `all`."]
 
 
-class People(TypedDict):
-    doings: dict[str, Doings]
+class _People(TypedDict):
+    doings: dict[str, _Doings]
     verdicts: dict[str, Count]
 
 
-class Doings(TypedDict):
+class _Doings(TypedDict):
     n: Count
     false: Count
     named: dict[str, Count]
 
 
-class Budget(TypedDict):
-    left: Left
+class _Budget(TypedDict):
+    left: _Left
     names: Share
     parameters: Annotated[dict[str, Covered], "By effect, and `all`."]
 
 
-class Left(TypedDict):
+class _Left(TypedDict):
     n: Count
     median: Number
     worst: Number
     told: Annotated[
-        LeftTold,
+        _LeftTold,
         "The same where `calibrate` is told all names, asked of those of which more is left than "
         "the median that is asked.",
     ]
@@ -74,16 +74,16 @@ class Left(TypedDict):
         "Recordings of which more is left than is asked of the worst, and more than is "
         "unavoidable.",
     ]
-    asked: LeftAsked
+    asked: _LeftAsked
     met: bool
 
 
-class LeftTold(TypedDict):
+class _LeftTold(TypedDict):
     median: Number
     worst: Number
 
 
-class LeftAsked(TypedDict):
+class _LeftAsked(TypedDict):
     median: float
     worst: float
     beside_told: float
@@ -140,17 +140,17 @@ class Law(TypedDict):
     ]
 
 
-class Ordinary(TypedDict):
+class _Ordinary(TypedDict):
     coverage: Annotated[
         dict[str, Numbers],
         "Of all parameters that were drawn, and of parts of them; `absent`: of effects that are "
         "not there.",
     ]
-    numbers_asked: list[NumbersAsked]
+    numbers_asked: list[_NumbersAsked]
     found: Share
     rare_found: Share
     false_rare: Share
-    names_asked: dict[str, NamesAsked]
+    names_asked: dict[str, _NamesAsked]
     not_found: dict[str, Count]
     false_names: dict[str, Count]
 
@@ -167,7 +167,7 @@ class Numbers(TypedDict):
     ]
 
 
-class NumbersAsked(TypedDict):
+class _NumbersAsked(TypedDict):
     part: Annotated[str, "Of `coverage`."]
     sigmas: int
     asked: Annotated[float, "Share within so many sigmas."]
@@ -176,6 +176,6 @@ class NumbersAsked(TypedDict):
     met: bool | None
 
 
-class NamesAsked(TypedDict):
+class _NamesAsked(TypedDict):
     asked: float
     met: bool | None

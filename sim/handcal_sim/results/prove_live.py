@@ -12,7 +12,7 @@ class LiveProof(TypedDict):
 
     schema: Kind[Literal["handcal-sim/prove-live/1"]]
     hands: Annotated[Count, "How many."]
-    worst: Annotated[Worst, "The worst of biases and scale errors after the same time."]
+    worst: Annotated[_Worst, "The worst of biases and scale errors after the same time."]
     unguided_to_guided: Middle
     least_unguided_to_guided: Annotated[float, "Of any hand."]
     guided_to_planned: Middle
@@ -20,13 +20,13 @@ class LiveProof(TypedDict):
     enough: Annotated[Count, "Hands for which it was."]
     motions_asked: Annotated[Count, "In all."]
     motions_seen_done: Annotated[Count, "As the readings told."]
-    errors: Annotated[Errors, "Of the led hands' estimates."]
+    errors: Annotated[_Errors, "Of the led hands' estimates."]
     seed: Count
     took_s: Annotated[float, "s."]
     trials: list[Trial]
 
 
-class Worst(TypedDict):
+class _Worst(TypedDict):
     guided: Middle
     unguided: Middle
     planned: Middle
@@ -44,7 +44,7 @@ class Middle(_Middle):
     to: Annotated[float, "95 % interval."]
 
 
-class Errors(TypedDict):
+class _Errors(TypedDict):
     rms: Annotated[float, "In sigmas."]
     within_3_sigma: Annotated[float, "Their share."]
     of: Annotated[Count, "Estimates."]
@@ -54,25 +54,25 @@ class Trial(TypedDict):
     """One hand."""
 
     seed: Count
-    guided: Annotated[Guided, "Led for a minute."]
-    unguided: Annotated[Unguided, "Once about each axis, again and again."]
-    planned: Annotated[Unguided, "The best plan, asked once."]
-    soon: Annotated[Soon, "Led until all was known."]
+    guided: Annotated[_Guided, "Led for a minute."]
+    unguided: Annotated[_Unguided, "Once about each axis, again and again."]
+    planned: Annotated[_Unguided, "The best plan, asked once."]
+    soon: Annotated[_Soon, "Led until all was known."]
 
 
-class Guided(TypedDict):
+class _Guided(TypedDict):
     worst: Annotated[float, "Of biases and scale errors, as times as uncertain as wanted."]
     errors: Annotated[Floats, "Of all estimates, in their sigmas."]
     names: Annotated[Texts, "Motions that were asked for."]
     seen: Annotated[Count, "That were seen to be done."]
 
 
-class Unguided(TypedDict):
+class _Unguided(TypedDict):
     worst: Annotated[float, "Of biases and scale errors, as times as uncertain as wanted."]
     errors: Annotated[Floats, "Of all estimates, in their sigmas."]
 
 
-class Soon(TypedDict):
+class _Soon(TypedDict):
     seconds: Annotated[float, "Until all was known, s."]
     enough: bool
     names: Annotated[Texts, "Motions that were asked for."]

@@ -16,11 +16,11 @@ class Truth(TypedDict):
     duration_s: float
     rests: Annotated[list[Two[float]], "From, to, s."]
     asked: Annotated[dict[str, Floats], "As `--effect` has them."]
-    effects: Annotated[dict[str, list[TruthEffect]], "All that is injected: by id, SI."]
-    mean_walk: Annotated[MeanWalk, "Of the biases beyond their start."]
-    start: Start
-    hand: Annotated[TruthHand, "Root mean squares for each axis."]
-    earth: Earth
+    effects: Annotated[dict[str, list[_TruthEffect]], "All that is injected: by id, SI."]
+    mean_walk: Annotated[_MeanWalk, "Of the biases beyond their start."]
+    start: _Start
+    hand: Annotated[_TruthHand, "Root mean squares for each axis."]
+    earth: _Earth
     phone: Annotated[
         dict[str, Any], "The device as the simulator has it; for looking up, not fixed."
     ]
@@ -31,25 +31,25 @@ class Truth(TypedDict):
     ]
 
 
-class TruthEffect(TypedDict):
+class _TruthEffect(TypedDict):
     name: str
     value: Number
     unit: str
 
 
-class MeanWalk(TypedDict):
+class _MeanWalk(TypedDict):
     gyro: Annotated[Vector, "rad/s"]
     accel: Annotated[Vector, "m/s^2"]
 
 
-class Start(TypedDict):
+class _Start(TypedDict):
     heading: Annotated[float, "rad"]
     pitch: Annotated[float, "rad"]
     roll: Annotated[float, "rad"]
     direction: int
 
 
-class TruthHand(TypedDict):
+class _TruthHand(TypedDict):
     sway_m: float
     sway_per_rate_m: float
     wobble_rad: float
@@ -59,7 +59,7 @@ class TruthHand(TypedDict):
     creep_m: float
 
 
-class Earth(TypedDict):
+class _Earth(TypedDict):
     gravity: Annotated[float, "m/s^2"]
     rate: Annotated[Vector, "rad/s"]
     gravity_error: float

@@ -16,14 +16,14 @@ class Sweep(TypedDict):
     seed: Count
     thresholds: Annotated[dict[str, float], "Of the convergence rule, by unit."]
     printed: Annotated[
-        dict[str, Printed], "By quantity: how many of the paper's values lie in the central 95 %."
+        dict[str, _Printed], "By quantity: how many of the paper's values lie in the central 95 %."
     ]
     evidence: list[Evidence]
     side_by_side: list[SideBySide]
     cells: list[Cell]
 
 
-class Printed(TypedDict):
+class _Printed(TypedDict):
     inside: Count
     n: Count
 
@@ -77,7 +77,7 @@ class Cell(TypedDict):
     """One world and one filter over all seeds."""
 
     schema: Kind[Literal["handcal-sim/sweep-cell/1"]]
-    key: Annotated[Key, "What the result depends on."]
+    key: Annotated[_Key, "What the result depends on."]
     group: Annotated[str, "Heading under which it is shown."]
     r_h: Annotated[str, "The heading noise that the filter is told, in words."]
     r_h_rad: Annotated[Number, "Null: chosen by evidence."]
@@ -86,7 +86,7 @@ class Cell(TypedDict):
     estimate: Annotated[Texts, "Effects that are states."]
     filter: NotRequired[
         Annotated[
-            Filter, "What the filter is told besides R_h and its states.", "of a newer program"
+            _Filter, "What the filter is told besides R_h and its states.", "of a newer program"
         ]
     ]
     without_heading: Annotated[bool, "Heading counts for nothing."]
@@ -96,7 +96,7 @@ class Cell(TypedDict):
     bands: Bands
 
 
-class Key(TypedDict):
+class _Key(TypedDict):
     cell: Annotated[str, "Digest of world and filter."]
     seeds: Count
     seed: Count
@@ -119,7 +119,7 @@ class World(TypedDict):
     sway: Annotated[float, "0: a hand that holds still."]
 
 
-class Filter(TypedDict):
+class _Filter(TypedDict):
     start_heading_deg: Annotated[float | str, "`unknown` where it is."]
     start_tilt_deg: float
     draw_start: Annotated[bool, "Whether the start is drawn from that prior."]
@@ -144,15 +144,9 @@ class Swept(TypedDict):
     settled_error: Annotated[Final | None, "Of handcal's own calibration; null without `--settle`."]
 
 
-class Beside(TypedDict):
+class Beside(Spread):
     """One quantity over the seeds, beside what the paper prints."""
 
-    n: Annotated[Count, "Seeds that have it."]
-    median: Number
-    low: Annotated[Number, "Of the central 95 %."]
-    high: Annotated[Number, "Of the central 95 %."]
-    least: Number
-    most: Number
     printed: Annotated[Number, "In paper 002."]
     inside: Annotated[bool | None, "Whether that lies in the central 95 %."]
 

@@ -13,32 +13,32 @@ class Allan(TypedDict):
 
     schema: Kind[Literal["handcal/allan/1"]]
     version: NotRequired[Version]
-    recording: AllanRecording
+    recording: _AllanRecording
     span_s: Annotated[Two[float], "The stretch that was used."]
-    channels: Six[Channel]
+    channels: Six[_Channel]
     suggested: Annotated[list[Level], "Levels for the filter."]
     not_seen: Annotated[Texts, "What the record is too short for, in sentences."]
     warnings: Annotated[Texts, "In sentences."]
 
 
-class AllanRecording(TypedDict):
+class _AllanRecording(TypedDict):
     path: str
     duration_s: float
     imu_rate_hz: float
-    streams: Later[Annotated[Streams, "With the topic, where it was read from a bag."]]
+    streams: Later[Annotated[_Streams, "With the topic, where it was read from a bag."]]
     sha256: Later[Annotated[str | None, "Of the recording's file."]]
 
 
-class Streams(TypedDict):
-    imu: Imu
+class _Streams(TypedDict):
+    imu: _Imu
 
 
-class Imu(TypedDict):
+class _Imu(TypedDict):
     samples: int
     topic: NotRequired[Annotated[str, "", "of a bag"]]
 
 
-class Channel(TypedDict):
+class _Channel(TypedDict):
     channel: Literal["gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
     unit: Annotated[str, "Of the deviation."]
     tau_s: Annotated[Floats, "Averaging times."]
@@ -47,11 +47,11 @@ class Channel(TypedDict):
     high: Annotated[Floats, "Of the 95 % band."]
     edf: Annotated[Floats, "Degrees of freedom."]
     fit_from_s: Annotated[float, "Shorter averaging times were left out of the fit."]
-    coefficients: Annotated[list[Coefficient], "What was seen."]
-    not_seen: Annotated[list[NotSeen], "What was not."]
+    coefficients: Annotated[list[_Coefficient], "What was seen."]
+    not_seen: Annotated[list[_NotSeen], "What was not."]
 
 
-class Coefficient(TypedDict):
+class _Coefficient(TypedDict):
     name: Annotated[
         Literal["Q", "N", "B", "K", "R"],
         "Q quantisation, N white noise, B bias instability, K random walk, R ramp.",
@@ -61,7 +61,7 @@ class Coefficient(TypedDict):
     unit: str
 
 
-class NotSeen(TypedDict):
+class _NotSeen(TypedDict):
     name: Literal["Q", "N", "B", "K", "R"]
     at_most: Annotated[float, "95 %."]
     unit: str

@@ -12,7 +12,7 @@ class Bench(TypedDict):
 
     schema: Kind[Literal["handcal/bench/1"]]
     version: NotRequired[Version]
-    machine: Machine
+    machine: _Machine
     rounds: Count
     complete: Later[
         Annotated[
@@ -22,17 +22,17 @@ class Bench(TypedDict):
             "is false, and `skipped` names the groups that are not measured to their end.",
         ]
     ]
-    figures: list[Figure]
+    figures: list[_Figure]
     profiles: Later[
         Annotated[
-            list[Profile],
+            list[_Profile],
             "Where the time of a command goes, by a look every 5 ms at its first thread.",
         ]
     ]
-    skipped: list[Skipped]
+    skipped: list[_Skipped]
 
 
-class Machine(TypedDict):
+class _Machine(TypedDict):
     processor: str
     cores: int | None
     system: str
@@ -41,30 +41,30 @@ class Machine(TypedDict):
     versions: dict[str, str]
 
 
-class Figure(TypedDict):
+class _Figure(TypedDict):
     group: str
     title: str
     unit: str
     clock: Literal["cpu", "wall", None]
     median: float
     rounds: Floats
-    target: Target | None
+    target: _Target | None
     met: bool | None
 
 
-class Target(TypedDict):
+class _Target(TypedDict):
     at_most: NotRequired[Annotated[float, "", "where less is better"]]
     at_least: NotRequired[Annotated[float, "", "where more is better"]]
 
 
-class Profile(TypedDict):
+class _Profile(TypedDict):
     group: str
     title: str
     doing: Annotated[dict[str, float], "By module at work, s."]
     asked_by: Annotated[dict[str, float], "By module of the step that asked for it, s."]
 
 
-class Skipped(TypedDict):
+class _Skipped(TypedDict):
     group: str
     title: str
     reason: str

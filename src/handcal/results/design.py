@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Count, Kind, Number, Texts, Vector, Version
-from handcal.results.parts import Expected
+from handcal.results.parts import _Expected
 
 
 class DesignedMotion(TypedDict):
@@ -15,12 +15,12 @@ class DesignedMotion(TypedDict):
     version: NotRequired[Version]
     after: Annotated[str | None, "The recording; null where nothing is recorded."]
     observations: Annotated[Texts, "Kinds."]
-    before: list[Before]
-    motions: Annotated[list[Motion], "The best first."]
+    before: list[_Before]
+    motions: Annotated[list[_Motion], "The best first."]
     warnings: Annotated[Texts, "In sentences."]
 
 
-class Before(TypedDict):
+class _Before(TypedDict):
     effect: str
     name: str
     sigma: float
@@ -28,14 +28,14 @@ class Before(TypedDict):
     unit: str
 
 
-class Motion(TypedDict):
+class _Motion(TypedDict):
     motion: Annotated[str, "What to do."]
     seconds: float
     times_smaller: Annotated[float, "The uncertainty becomes."]
-    sigma: list[Sigma]
+    sigma: list[_Sigma]
 
 
-class Sigma(TypedDict):
+class _Sigma(TypedDict):
     effect: str
     name: str
     sigma: Annotated[float, "Afterwards."]
@@ -52,23 +52,23 @@ class DesignedPoses(TypedDict):
     criterion: Literal["D", "A", "condition"]
     way: Annotated[str, "All at once, or sequential."]
     rate: Annotated[Number, "Of the table, rad/s."]
-    poses: list[Pose]
+    poses: list[_Pose]
     d_efficiency: Annotated[float, "1 is the best."]
     a_efficiency: Annotated[float, "1 is the best."]
     condition: Annotated[float, "Condition number."]
     best_condition: Annotated[float, "The least possible."]
     d_efficiency_held_within_5_deg: Annotated[float, "In 19 of 20 tries."]
-    reading_noise: ReadingNoise
-    parameters: list[Expected]
+    reading_noise: _ReadingNoise
+    parameters: list[_Expected]
     seed: Count
 
 
-class Pose(TypedDict):
+class _Pose(TypedDict):
     up: Annotated[Vector, "In body axes."]
     elevation_deg: Annotated[Vector, "Of x y z above the horizon."]
     instruction: Annotated[str, "How to lay it."]
 
 
-class ReadingNoise(TypedDict):
+class _ReadingNoise(TypedDict):
     gyro: Annotated[float, "rad/s"]
     accel: Annotated[float, "m/s^2"]

@@ -12,10 +12,10 @@ class Effects(TypedDict):
 
     schema: Kind[Literal["handcal/effects/1"]]
     version: NotRequired[Version]
-    effects: list[Effect]
+    effects: list[_Effect]
 
 
-class Effect(TypedDict):
+class _Effect(TypedDict):
     id: str
     title: str
     story: Annotated[str, "What it does."]
@@ -29,10 +29,10 @@ class Effect(TypedDict):
             "devices have.",
         ]
     ]
-    parameters: list[EffectParameter]
+    parameters: list[_EffectParameter]
 
 
-class EffectParameter(TypedDict):
+class _EffectParameter(TypedDict):
     name: str
     unit: str
     prior_sigma: Annotated[float, "Usual size."]

@@ -30,10 +30,10 @@ class Explanation(TypedDict):
     trust_reasons: Later[Annotated[Texts, "Why it is not `good`."]]
     mismatch: Annotated[list[Mismatch], "Where the baseline does not fit."]
     missing: Annotated[list[Missing], "What was found, the largest share first."]
-    hand: Later[Annotated[Hand, "What the hand does."]]
+    hand: Later[Annotated[_Hand, "What the hand does."]]
     unnamed: Annotated[list[Unnamed], "Empty unless the verdict is `unexplained`."]
     hypotheses: Later[Annotated[list[Hypothesis], "Every effect that was tried."]]
-    fit: Fit
+    fit: _Fit
     held_out: Annotated[HeldOut | Empty, "Empty where nothing was held out."]
     next_motion: Annotated[list[NextMotion], "What to record next."]
     parameters: Annotated[
@@ -109,7 +109,7 @@ class Value(TypedDict):
     unit: Annotated[str, "SI."]
 
 
-class Hand(TypedDict):
+class _Hand(TypedDict):
     id: str
     probability: Number
 
@@ -149,7 +149,7 @@ class Hypothesis(TypedDict):
     probability: Annotated[Number, "That it is present."]
 
 
-class Fit(TypedDict):
+class _Fit(TypedDict):
     before: Annotated[ExplanationFit, "The baseline."]
     after: Annotated[ExplanationFit, "With what was found."]
 

@@ -12,24 +12,24 @@ class Fleet(TypedDict):
 
     schema: Kind[Literal["handcal/fleet/1"]]
     version: Annotated[str, "Of the program that wrote it."]
-    recordings: Annotated[Recordings, "How many."]
+    recordings: Annotated[_Recordings, "How many."]
     verdicts: Annotated[dict[str, int], "How often each verdict of `explain`."]
     models: Annotated[list[FleetModel], "By name."]
-    failures: Annotated[list[Failure], "Recordings without a result."]
+    failures: Annotated[list[_Failure], "Recordings without a result."]
     untold: Annotated[
-        list[Untold],
+        list[_Untold],
         "Recordings that are explained, and tell nothing of the devices of their model.",
     ]
     doubted: Later[
         Annotated[
-            list[Doubted],
+            list[_Doubted],
             "Recordings that tell of the devices of their model, and whose explanation is "
             "doubtful; with `--anyway` also those of `trust` `none`.",
         ]
     ]
 
 
-class Recordings(TypedDict):
+class _Recordings(TypedDict):
     done: Annotated[Count, "With a result."]
     failed: Annotated[Count, "Without."]
 
@@ -138,18 +138,18 @@ class FleetChange(TypedDict):
     ]
     slope_sigma: Annotated[Number, AT_LEAST_0, "Of the slope."]
     slope_spread: Annotated[Number, AT_LEAST_0, "By how much devices differ in it."]
-    shares: Annotated[Shares, "Of the variance within devices, sigmas taken out."]
-    steps: Annotated[list[Step], "The clearest first."]
+    shares: Annotated[_Shares, "Of the variance within devices, sigmas taken out."]
+    steps: Annotated[list[_Step], "The clearest first."]
 
 
-class Shares(TypedDict):
+class _Shares(TypedDict):
     turn_on: Annotated[Fraction, "Of what differs at every switching on."]
     ageing: Annotated[Fraction, "Of the walk."]
     temperature: Annotated[Fraction, "Of the temperature."]
     step: Annotated[Fraction, "Of steps."]
 
 
-class Step(TypedDict):
+class _Step(TypedDict):
     device: Annotated[str, "Which."]
     after: Annotated[str, "When the last recording before it began."]
     until: Annotated[str, "When the first recording behind it began."]
@@ -175,18 +175,18 @@ class FleetLaw(TypedDict):
     best_alone: Annotated[float, "Nats that the best of them gives alone."]
 
 
-class Failure(TypedDict):
+class _Failure(TypedDict):
     path: Annotated[str, "Of the recording."]
     status: Annotated[str, "failed, timed_out, out_of_memory, unreachable, killed, crashed."]
     reason: Annotated[str, "In a sentence."]
 
 
-class Untold(TypedDict):
+class _Untold(TypedDict):
     path: Annotated[str, "Of the recording."]
     reason: Annotated[str, "In a sentence."]
 
 
-class Doubted(TypedDict):
+class _Doubted(TypedDict):
     path: Annotated[str, "Of the recording."]
     trust: Annotated[Literal["good", "doubtful", "none"], "As of `explain --json`."]
     trust_reasons: Annotated[Texts, "Why it is not `good`."]

@@ -27,12 +27,12 @@ class FleetRecording(TypedDict):
     deadline: Annotated[Number, "Seconds it had."]
     memory: Annotated[Count, "Bytes it had."]
     budget: Annotated[Number, "Of `--budget`."]
-    priors: Annotated[Priors | None, "With which priors it was made; null: the catalogue's."]
+    priors: Annotated[_Priors | None, "With which priors it was made; null: the catalogue's."]
     said: NotRequired[
         Annotated[str, "The last words of a process that crashed.", "with status `crashed`"]
     ]
     recording: NotRequired[
-        Annotated[KeptRecording, "As of `explain --json`.", "with status `done`"]
+        Annotated[_KeptRecording, "As of `explain --json`.", "with status `done`"]
     ]
     device: NotRequired[
         Annotated[str, "What the file says of its device; empty: nothing.", "with status `done`"]
@@ -48,7 +48,7 @@ class FleetRecording(TypedDict):
         Annotated[
             list[
                 Annotated[
-                    Named, "An entry of `missing` of `explain --json`, without words and sizes."
+                    _Named, "An entry of `missing` of `explain --json`, without words and sizes."
                 ]
             ],
             "What `explain` named.",
@@ -58,21 +58,21 @@ class FleetRecording(TypedDict):
     unnamed: NotRequired[Annotated[Texts, "Formulas of what has no name.", "with status `done`"]]
     hypotheses: NotRequired[
         Annotated[
-            list[Annotated[KeptHypothesis, "One effect."]],
+            list[Annotated[_KeptHypothesis, "One effect."]],
             "Of each effect that was on trial.",
             "with status `done`",
         ]
     ]
     told: NotRequired[
         Annotated[
-            list[Annotated[Told, "One parameter."]],
+            list[Annotated[_Told, "One parameter."]],
             "Of each parameter, whether or not its effect was named.",
             "with status `done`",
         ]
     ]
     information: NotRequired[
         Annotated[
-            Information,
+            _Information,
             "Log-likelihood b'u - u'G u / 2 of all parameters at once, in units of the "
             "catalogue's sizes.",
             "with status `done`",
@@ -80,12 +80,12 @@ class FleetRecording(TypedDict):
     ]
     laws: NotRequired[
         Annotated[
-            FleetRecordingLaws,
+            _FleetRecordingLaws,
             "Of the laws without a name that devices may have in common, what it tells.",
             "with status `done`",
         ]
     ]
-    held_out: NotRequired[Annotated[KeptHeldOut, "As of `explain --json`.", "with status `done`"]]
+    held_out: NotRequired[Annotated[_KeptHeldOut, "As of `explain --json`.", "with status `done`"]]
     warnings: NotRequired[Annotated[Texts, "As of `explain --json`.", "with status `done`"]]
     trust: NotRequired[
         Annotated[
@@ -103,7 +103,7 @@ class FleetRecording(TypedDict):
     ]
 
 
-class Priors(TypedDict):
+class _Priors(TypedDict):
     path: Annotated[str, "Of the file."]
     model: Annotated[str, "Which model of it."]
     sha256: Annotated[str, "Of the file."]
@@ -111,7 +111,7 @@ class Priors(TypedDict):
     devices: Annotated[Count, "Of how many it was learned."]
 
 
-class KeptRecording(TypedDict):
+class _KeptRecording(TypedDict):
     path: Annotated[str, "As it was read."]
     duration_s: Annotated[Number, "Of the recording."]
     imu_rate_hz: Annotated[Number, "Of the IMU."]
@@ -122,28 +122,28 @@ class KeptRecording(TypedDict):
     temperature_degC: NotRequired[Annotated[Number, "Mean.", "where it has a temperature"]]
 
 
-class Named(TypedDict):
+class _Named(TypedDict):
     effect: Annotated[str, "Id."]
     probability: Annotated[Number, "That it is there."]
     log_evidence_gain: Annotated[Number, "Nats."]
     indistinguishable_from: Annotated[Texts, "Ids."]
-    parameters: Annotated[list[Annotated[NamedParameter, "One parameter."]], "Its parameters."]
+    parameters: Annotated[list[Annotated[_NamedParameter, "One parameter."]], "Its parameters."]
 
 
-class NamedParameter(TypedDict):
+class _NamedParameter(TypedDict):
     name: Annotated[str, "Which parameter."]
     value: Annotated[Number, "SI."]
     sigma: Annotated[Number, "SI."]
     unit: Annotated[str, "SI."]
 
 
-class KeptHypothesis(TypedDict):
+class _KeptHypothesis(TypedDict):
     effect: Annotated[str, "Id."]
     alone: Annotated[Number, "Nats over the baseline."]
     probability: Annotated[Number, "That it is there."]
 
 
-class Told(TypedDict):
+class _Told(TypedDict):
     effect: Annotated[str, "Id of the effect."]
     name: Annotated[str, "Which of its parameters."]
     value: Annotated[Number, "What the recording alone says, without any prior."]
@@ -153,20 +153,20 @@ class Told(TypedDict):
     together: Annotated[bool, "Estimated with the others of every recording, or alone beside them."]
 
 
-class Information(TypedDict):
+class _Information(TypedDict):
     names: Annotated[list[Texts], "Effect and name of each parameter u."]
     b: Annotated[str, "(k,) in base64 of little-endian float64."]
     G: Annotated[str, "Lower triangle of (k, k) by rows, likewise."]
 
 
-class FleetRecordingLaws(TypedDict):
+class _FleetRecordingLaws(TypedDict):
     count: Annotated[Count, "Laws that it was asked about."]
     told: Annotated[
         str, "Value and sigma of each, SI (nan: not told), as little-endian float32 in base64."
     ]
 
 
-class KeptHeldOut(TypedDict):
+class _KeptHeldOut(TypedDict):
     log_score_before: NotRequired[Annotated[Number, "Nats.", "where anything was held out"]]
     log_score_after: NotRequired[Annotated[Number, "Nats.", "where anything was held out"]]
     residual_rms_before: NotRequired[

@@ -12,25 +12,25 @@ class Info(TypedDict):
 
     schema: Kind[Literal["handcal/info/1"]]
     version: NotRequired[Version]
-    recording: InfoRecording
-    units: Units
-    streams: list[InfoStream]
-    range: Range
-    rests: list[Rest]
+    recording: _InfoRecording
+    units: _Units
+    streams: list[_InfoStream]
+    range: _Range
+    rests: list[_Rest]
     rests_show: Later[str]
-    turns: list[Turn]
-    could_teach: list[CouldTeach]
+    turns: list[_Turn]
+    could_teach: list[_CouldTeach]
     warnings: Annotated[Texts, "In sentences."]
 
 
-class InfoRecording(TypedDict):
+class _InfoRecording(TypedDict):
     path: str
     duration_s: float
     start_ns: Annotated[int, "Of the first reading, on the recording's own clock."]
     format: Annotated[str, "By which it was read."]
 
 
-class Units(TypedDict):
+class _Units(TypedDict):
     stated: Annotated[str, "By the file."]
     evidence: Annotated[Texts, "Why they are believed."]
     gravity_read: Annotated[float, "m/s^2, where stillest."]
@@ -41,7 +41,7 @@ class Units(TypedDict):
     ]
 
 
-class InfoStream(TypedDict):
+class _InfoStream(TypedDict):
     stream: str
     topic: NotRequired[
         Annotated[str, "Where it was read.", "of a bag or a log of PX4 or ArduPilot"]
@@ -53,21 +53,21 @@ class InfoStream(TypedDict):
     jitter_s: Annotated[float, "Standard deviation of the steps."]
     first_s: float
     last_s: float
-    gaps: Gaps
+    gaps: _Gaps
 
 
-class Gaps(TypedDict):
+class _Gaps(TypedDict):
     count: Count
     longest_s: float
     at_s: Annotated[float, "Where the longest begins."]
 
 
-class Range(TypedDict):
+class _Range(TypedDict):
     largest: Annotated[dict[str, float], "By channel, SI."]
     not_trusted: Annotated[Count, "Readings."]
 
 
-class Rest(TypedDict):
+class _Rest(TypedDict):
     from_s: float
     to_s: float
     still: Annotated[bool, "As on a table."]
@@ -76,21 +76,21 @@ class Rest(TypedDict):
     accel_noise: float
 
 
-class Turn(TypedDict):
+class _Turn(TypedDict):
     axis: Literal["x", "y", "z"]
     forward_rad: float
     backward_rad: float
     fastest_rad_s: float
 
 
-class CouldTeach(TypedDict):
+class _CouldTeach(TypedDict):
     effect: Annotated[str, "Id."]
     shown: Annotated[Texts, "Parameters that these rests and turns show."]
-    parameters: list[Reachable]
+    parameters: list[_Reachable]
     motion: Annotated[str, "What shows it."]
 
 
-class Reachable(TypedDict):
+class _Reachable(TypedDict):
     name: str
     sigma: Annotated[float, "That could be reached."]
     prior_sigma: float

@@ -21,8 +21,9 @@ PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", NoneTy
 
 
 def json_schema(name: str, title: str, result: type) -> Schema:
-    """Of a kind of result, complete in itself. A type with a docstring is a part, which stands
-    once, in ``$defs``; one without stands where it is used. name: the command's, with hyphens."""
+    """Of a kind of result, complete in itself. A type is a part, which stands once, in
+    ``$defs``; one whose name begins with an underscore stands where it is used. name: the
+    command's, with hyphens."""
     parts: dict[str, Schema] = {}
     body = _object(result, parts)
     program, _, edition = body["properties"]["schema"]["const"].split("/")
@@ -63,7 +64,7 @@ def _node(hint: Any, parts: dict[str, Schema]) -> Schema:
     if origin is dict:
         return {"type": "object", "additionalProperties": inner[1] is Any or _node(inner[1], parts)}
     if is_typeddict(hint):
-        return _part(hint, parts) if hint.__doc__ else _object(hint, parts)
+        return (_object if hint.__name__.startswith("_") else _part)(hint, parts)
     return {} if hint is Any else {"type": PLAIN[hint]}
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, TypedDict
 from handcal.results.kinds import Floats, Number, Texts
 
 
-class Likelihood(TypedDict):
+class _Likelihood(TypedDict):
     parameters: Annotated[list[Texts], "Effect and name of each."]
     information: Annotated[list[list[Number]], "SI."]
     vector: Annotated[Floats, "SI."]
@@ -19,10 +19,10 @@ class KnownDevice(TypedDict):
     path: Annotated[str, "Of the file."]
     name: Annotated[str, "Of the device."]
     sha256: Annotated[str, "Of the file, as it was read."]
-    prior: Annotated[Prior, "What was known of its parameters."]
+    prior: Annotated[_Prior, "What was known of its parameters."]
 
 
-class Prior(TypedDict):
+class _Prior(TypedDict):
     parameters: Annotated[list[Texts], "Effect and name of each."]
     mean: Annotated[Floats, "SI."]
     covariance: Annotated[list[Floats], "SI."]
@@ -37,11 +37,11 @@ class KnownModel(TypedDict):
     recordings: Annotated[int, "Of how many it was learned."]
     devices: Annotated[int, "Of how many it was learned."]
     sha256: Annotated[str, "Of the file, as it was read."]
-    prior: Annotated[Prior, "What was known of its parameters."]
+    prior: Annotated[_Prior, "What was known of its parameters."]
 
 
 OwnLikelihood = Annotated[
-    Likelihood,
+    _Likelihood,
     "What the recording itself says of biases and effects, without any prior: log-likelihood "
     "`vector' x - x' information x / 2` of the parameters x, all else integrated out.",
     "with one recording",

@@ -15,25 +15,25 @@ class Paper(TypedDict):
     version: NotRequired[Version]
     number: str
     source: str
-    claims: list[Claim]
-    beyond: list[Beyond]
-    tables: list[Table]
+    claims: list[_Claim]
+    beyond: list[_Beyond]
+    tables: list[_Table]
 
 
-class Claim(TypedDict):
+class _Claim(TypedDict):
     claim: str
     printed: str
     computed: str
     verdict: Literal["holds", "holds, corrected", "does not hold", "not reproducible"]
 
 
-class Beyond(TypedDict):
+class _Beyond(TypedDict):
     what: str
     paper: str
     handcal: str
 
 
-class Table(TypedDict):
+class _Table(TypedDict):
     heading: str
     columns: Texts
     rows: list[Texts]
@@ -48,13 +48,13 @@ class Thermal(TypedDict):
     from_degC: float
     to_degC: float
     pieces: Annotated[Count, "Stretches that were used."]
-    curves: list[ThermalCurve]
+    curves: list[_ThermalCurve]
     noise: Annotated[list[Level], "Beyond the readings' own."]
-    residual_rms: ThermalResidualRms
+    residual_rms: _ThermalResidualRms
     warnings: Annotated[Texts, "In sentences."]
 
 
-class ThermalCurve(TypedDict):
+class _ThermalCurve(TypedDict):
     effect: str
     name: str
     unit: str
@@ -65,19 +65,19 @@ class ThermalCurve(TypedDict):
     value: Annotated[Floats, "There."]
     sigma: Annotated[Floats, "Of those."]
     log_evidence_gain: Annotated[float, "Over a constant, nats."]
-    runner_up: RunnerUp
+    runner_up: _RunnerUp
     zero_degC: NotRequired[Annotated[float, "", "of a polynomial"]]
     powers: NotRequired[
         Annotated[Floats, "Of (T - zero), from the constant on.", "of a polynomial"]
     ]
 
 
-class RunnerUp(TypedDict):
+class _RunnerUp(TypedDict):
     curve: str
     log_evidence_less: float
 
 
-class ThermalResidualRms(TypedDict):
+class _ThermalResidualRms(TypedDict):
     before: Annotated[Six[float], "With one value for all temperatures."]
     after: Annotated[Six[float], "With the curves."]
     unit: str

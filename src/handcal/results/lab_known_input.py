@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal, NotRequired, TypedDict
 
 from handcal.results.kinds import Floats, Kind, Number, Six, Texts, Vector, Version
-from handcal.results.parts import CalibrationFit, Expected, Level, Parameter, Recording
+from handcal.results.parts import CalibrationFit, Level, Parameter, Recording, _Expected
 
 
 class KnownInput(TypedDict):
@@ -24,9 +24,9 @@ class KnownInput(TypedDict):
     fit: CalibrationFit
     condition: Annotated[float, "Condition number; 1 is the best."]
     kalman_difference: Annotated[float, "Kalman filter less least squares, in usual sizes."]
-    tests: Annotated[list[Tests], "Gyro rad/s, accelerometer m/s^2."]
+    tests: Annotated[list[_Tests], "Gyro rad/s, accelerometer m/s^2."]
     table_errors: Annotated[
-        list[Expected] | None, "What errors of the table bring; null where none were stated."
+        list[_Expected] | None, "What errors of the table bring; null where none were stated."
     ]
     better_rates: Annotated[
         list[Vector] | None, "Ten tests that tell more, rad/s; null where these are good."
@@ -34,7 +34,7 @@ class KnownInput(TypedDict):
     warnings: Annotated[Texts, "In sentences."]
 
 
-class Tests(TypedDict):
+class _Tests(TypedDict):
     reading: Six[Number]
     residual_before: Six[Number]
     residual_after: Six[Number]

@@ -21,15 +21,15 @@ class Scalar(TypedDict):
     noise: Annotated[list[Level], "Beyond the readings' own."]
     fit: CalibrationFit
     gravity: Annotated[float, "m/s^2"]
-    rests: list[ScalarRest]
-    turns: list[ScalarTurn]
+    rests: list[_ScalarRest]
+    turns: list[_ScalarTurn]
     halves: Annotated[
-        list[Halves], "From the first half of the rests and the second; empty with few."
+        list[_Halves], "From the first half of the rests and the second; empty with few."
     ]
     warnings: Annotated[Texts, "In sentences."]
 
 
-class ScalarRest(TypedDict):
+class _ScalarRest(TypedDict):
     from_s: float
     to_s: float
     samples: Count
@@ -37,7 +37,7 @@ class ScalarRest(TypedDict):
     norm_error_after: Annotated[float, "m/s^2"]
 
 
-class ScalarTurn(TypedDict):
+class _ScalarTurn(TypedDict):
     from_rest: Count
     to_rest: Count
     seconds: float
@@ -45,7 +45,7 @@ class ScalarTurn(TypedDict):
     miss_after: Annotated[float, "rad"]
 
 
-class Halves(TypedDict):
+class _Halves(TypedDict):
     effect: str
     name: str
     first: float

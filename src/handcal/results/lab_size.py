@@ -14,28 +14,28 @@ class Size(TypedDict):
     schema: Kind[Literal["handcal/calibration/1"]]
     version: NotRequired[Version]
     method: Annotated[str, (("pattern", "^size-effect from "),), "From what it was found."]
-    recording: Annotated[Recording | SizeRecording, "Of a table of tests its path alone."]
+    recording: Annotated[Recording | _SizeRecording, "Of a table of tests its path alone."]
     parameters: list[Parameter]
     covariance: Annotated[list[Floats], "Of the parameters, in their order."]
     noise: Annotated[list[Level], "Empty."]
     fit: CalibrationFit
     mounting: Annotated[list[Parameter], "How the IMU sits on the table."]
-    mean_place: MeanPlace
-    residual_rms: Annotated[ResidualRms, "Of the readings while it turns."]
+    mean_place: _MeanPlace
+    residual_rms: Annotated[_ResidualRms, "Of the readings while it turns."]
     warnings: Annotated[Texts, "In sentences."]
 
 
-class SizeRecording(TypedDict):
+class _SizeRecording(TypedDict):
     path: Annotated[str, "Of the table."]
 
 
-class MeanPlace(TypedDict):
+class _MeanPlace(TypedDict):
     value: Vector
     sigma: Vector
     unit: Literal["m"]
 
 
-class ResidualRms(TypedDict):
+class _ResidualRms(TypedDict):
     before: Vector
     after: Vector
     unit: Literal["m/s^2"]

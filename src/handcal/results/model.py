@@ -13,7 +13,7 @@ class Model(TypedDict):
     effects: Annotated[list[ModelEffect], "In the order in which they act."]
     noise_effects: Annotated[Texts, "Ids."]
     recordings: Annotated[list[View], "One for each."]
-    options: Annotated[Options, "As given."]
+    options: Annotated[_Options, "As given."]
     begin: NotRequired[
         Annotated[
             Literal["baseline", "online"],
@@ -36,19 +36,19 @@ class ModelEffect(TypedDict):
     last: NotRequired[
         Annotated[bool, "False: before others that change what it acts on.", "if false"]
     ]
-    moment: NotRequired[Annotated[Moment, "", "of what happens at a moment"]]
-    made: NotRequired[Annotated[Made, "", "of a law without a name"]]
+    moment: NotRequired[Annotated[_Moment, "", "of what happens at a moment"]]
+    made: NotRequired[Annotated[_Made, "", "of a law without a name"]]
     prior: NotRequired[
         Annotated[float, "Usual size of a law's constant.", "of a law with a formula"]
     ]
 
 
-class Moment(TypedDict):
+class _Moment(TypedDict):
     at: Annotated[float, "s"]
     sigma: Annotated[float, "s"]
 
 
-class Made(TypedDict):
+class _Made(TypedDict):
     kind: Annotated[str, "Of law."]
     numbers: Annotated[list[Any], "That make it up."]
 
@@ -77,7 +77,7 @@ class LeftOut(TypedDict):
     ]
 
 
-class Options(TypedDict):
+class _Options(TypedDict):
     height: Annotated[float, "m"]
     noise: Annotated[dict[str, float], "Known noise levels, SI, by name."]
     ignore: Annotated[Texts, "Streams."]

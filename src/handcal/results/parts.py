@@ -36,14 +36,14 @@ class Recording(TypedDict):
     model: NotRequired[Annotated[str, "Of the device.", "where the recording says so"]]
     read_noise: NotRequired[
         Annotated[
-            ReadNoise,
+            _ReadNoise,
             "White noise that the readings themselves show, rad/s/sqrt(Hz), m/s^2/sqrt(Hz).",
             "of 100 readings or more",
         ]
     ]
     rest_noise: NotRequired[
         Annotated[
-            RestNoise,
+            _RestNoise,
             "The same of its longest rest; empty where it has none.",
             "of 100 readings or more",
         ]
@@ -77,12 +77,12 @@ class Stream(TypedDict):
     ]
 
 
-class ReadNoise(TypedDict):
+class _ReadNoise(TypedDict):
     gyro_noise: NotRequired[Annotated[float, "", "with a gyro"]]
     accel_noise: NotRequired[Annotated[float, "", "with an accelerometer"]]
 
 
-class RestNoise(TypedDict):
+class _RestNoise(TypedDict):
     gyro_noise: NotRequired[Annotated[float, "", "with a gyro at rest"]]
     accel_noise: NotRequired[Annotated[float, "", "with an accelerometer at rest"]]
 
@@ -104,7 +104,7 @@ class Parameter(TypedDict):
     ]
     given_model: NotRequired[
         Annotated[
-            GivenModel,
+            _GivenModel,
             "The same if, besides biases, there are only the effects that were found.",
             "where the covariance of all is known",
         ]
@@ -115,7 +115,7 @@ class Parameter(TypedDict):
     ]
 
 
-class GivenModel(TypedDict):
+class _GivenModel(TypedDict):
     value: Annotated[Number, "In its unit."]
     sigma: Annotated[Number, "Standard deviation of the value."]
 
@@ -185,7 +185,7 @@ class Drift(TypedDict):
     ]
 
 
-class Expected(TypedDict):
+class _Expected(TypedDict):
     effect: str
     name: str
     sigma: float

@@ -44,9 +44,9 @@ def thermal_json(result: Thermal) -> results.lab.Thermal:
     }  # fmt: skip
 
 
-def _curve_json(c: Curve) -> results.lab.ThermalCurve:
+def _curve_json(c: Curve) -> results.lab._ThermalCurve:
     value, sigma = c.at(c.basis.knots)
-    out: results.lab.ThermalCurve = {
+    out: results.lab._ThermalCurve = {
         "effect": c.effect, "name": c.name, "unit": c.unit,
         "kind": c.basis.kind, "degree": c.basis.degree,
         "absolute": c.anchored,
